@@ -32,6 +32,7 @@ _MODULES = (
     "regularizer_checks",
     "geometry_renderer_checks",
     "reflectance_renderer_checks",
+    "solver_checks",
     "initializer_checks",
     "capture_reader_checks",
     "mask_source_checks",

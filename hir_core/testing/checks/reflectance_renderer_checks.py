@@ -5,42 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hir_core.testing.checks.reflectance_probes import FEW, MANY, SIZE, capture_of, mean_over_seeds, pixel_grid
 from hir_core.testing.contract import NotApplicable, Subject, contract, require
 from hir_core.testing.exercise import Exercise, seeded
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from hir_core.capture import Camera, Capture
-    from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceRenderer, ReflectanceSolver
+    from hir_core.capture import Camera
+    from hir_core.plugins.interfaces import PreparedReflectance, ReflectanceRenderer
     from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
-
-SIZE = 24
-FEW, MANY = 4, 16
-"""Repetitions of what is stochastic."""
-
-
-def _capture(cameras: Sequence[Camera]) -> Capture:
-    from hir_core.capture import Capture, View
-    from hir_core.testing.captures import StoredPixels
-
-    views = []
-    for i, camera in enumerate(cameras):
-        shape = (camera.height, camera.width)
-        views.append(View(str(i), camera, StoredPixels(np.zeros((*shape, 3), np.float32), np.ones(shape, np.float32))))
-    return Capture(Path("made"), tuple(views))
-
-
-def _grid(size: int = SIZE, step: int = 1) -> Tensor:
-    import torch
-
-    y, x = torch.meshgrid(torch.arange(0, size, step), torch.arange(0, size, step), indexing="ij")
-    return torch.stack([torch.zeros_like(x), x, y], dim=-1).reshape(-1, 3)
 
 
 def _scene(material: Material, light: EnvironmentMap, mesh: Mesh | None = None) -> Scene:
@@ -51,24 +29,12 @@ def _scene(material: Material, light: EnvironmentMap, mesh: Mesh | None = None) 
 
 
 def _prepared(subject: Subject, scene: Scene, camera: Camera) -> PreparedReflectance:
-    found: PreparedReflectance = subject.create().prepare(scene, _capture([camera]))
+    found: PreparedReflectance = subject.create().prepare(scene, capture_of([camera]))
     return found
 
 
-def _mean(subject: Subject, value: Callable[[], Tensor], times: int = FEW) -> tuple[Tensor, Tensor]:
-    """Mean and its standard error over runs of different seeds; one run and 0 where nothing is stochastic."""
-    import torch
-
-    if not subject.has("stochastic"):
-        seeded(0)
-        one = value().detach()
-        return one, torch.zeros_like(one)
-    runs = []
-    for seed in range(times):
-        seeded(seed)
-        runs.append(value().detach())
-    stacked = torch.stack(runs).double()
-    return stacked.mean(0), stacked.std(0) / np.sqrt(times)
+def _mean_of(radiance: Callable[[], Tensor]) -> Tensor:
+    return radiance().mean(0)
 
 
 def exercise(subject: Subject, device: str) -> Exercise:
@@ -77,12 +43,13 @@ def exercise(subject: Subject, device: str) -> Exercise:
 
     scene = _scene(constant_material("dielectric", 0.4, 0.04, 0.3), uneven_light(16)).to(device)
     camera = looking_at((0, 1, 4), SIZE)
-    capture = _capture([camera])
+    capture = capture_of([camera])
 
     def run() -> dict[str, np.ndarray]:
         renderer = subject.create()
         assert scene.material is not None and scene.environment is not None
-        shown = renderer.prepare(scene, capture).radiance(scene.material, scene.environment, _grid(step=2).to(device))
+        pixels = pixel_grid(step=2).to(device)
+        shown = renderer.prepare(scene, capture).radiance(scene.material, scene.environment, pixels)
         picture = renderer.render(scene, camera)
         return {"radiance": shown.detach().cpu().numpy(), "picture": picture.detach().cpu().numpy()}
 
@@ -101,9 +68,9 @@ def radiance_is_finite_and_in_place(subject: Subject) -> None:
     light, camera = uneven_light(16), looking_at((0, 1, 4), SIZE)
     material = constant_material("dielectric", 0.4, 0.04, 0.4)
     scene = _scene(material, light)
-    pixels = _grid()
+    pixels = pixel_grid()
     prepared = _prepared(subject, scene, camera)
-    shown, _ = _mean(subject, lambda: prepared.radiance(material, light, pixels))
+    shown, _ = mean_over_seeds(subject, lambda: prepared.radiance(material, light, pixels))
     require(
         tuple(shown.shape) == (len(pixels), 3),
         f"radiance of {len(pixels)} pixels has the shape {tuple(shown.shape)}; ({len(pixels)}, 3) is needed",
@@ -168,7 +135,7 @@ def white_furnace(subject: Subject) -> None:
     from hir_core.testing.scenes import constant_material, looking_at
 
     white, camera = EnvironmentMap(torch.ones(32, 64, 3)), looking_at((0, 0, 4), SIZE)
-    pixels = _grid()[(SIZE // 2) * SIZE + SIZE // 2 - 5 : (SIZE // 2) * SIZE + SIZE // 2 + 5]
+    pixels = pixel_grid()[(SIZE // 2) * SIZE + SIZE // 2 - 5 : (SIZE // 2) * SIZE + SIZE // 2 + 5]
     cases = [("white and diffuse", constant_material("paper", 1.0, 0.0, 0.5), 0.99, 1.01)]
     for alpha in () if subject.has("lambertian") else (0.1, 0.5):
         cases.append(
@@ -179,7 +146,8 @@ def white_furnace(subject: Subject) -> None:
         )
     prepared = _prepared(subject, _scene(cases[0][1], white), camera)
     for name, material, low, high in cases:
-        shown, error = _mean(subject, lambda material=material: prepared.radiance(material, white, pixels).mean(0))  # type: ignore[misc]
+        radiance = partial(prepared.radiance, material, white, pixels)
+        shown, error = mean_over_seeds(subject, partial(_mean_of, radiance))
         slack = 4 * float(error.max())
         found = float(shown.mean())
         require(
@@ -215,7 +183,7 @@ def reciprocity(subject: Subject) -> None:
         light = EnvironmentMap(_spot(source, 64))
         camera = looking_at(tuple(4 * eye), SIZE)
         prepared = _prepared(subject, _scene(lobe, light, plane(2.0, 8)), camera)
-        middle = _grid()[(SIZE // 2 - 2) * SIZE : (SIZE // 2 + 2) * SIZE]
+        middle = pixel_grid()[(SIZE // 2 - 2) * SIZE : (SIZE // 2 + 2) * SIZE]
         middle = middle[(middle[:, 1] - SIZE // 2).abs() < 3]
 
         def middle_of(
@@ -224,8 +192,8 @@ def reciprocity(subject: Subject) -> None:
             found: Tensor = p.radiance(material, lit, at).mean()
             return found
 
-        shown, shown_error = _mean(subject, partial(middle_of, lobe), MANY)
-        whole, _ = _mean(subject, partial(middle_of, lambertian), MANY)
+        shown, shown_error = mean_over_seeds(subject, partial(middle_of, lobe), MANY)
+        whole, _ = mean_over_seeds(subject, partial(middle_of, lambertian), MANY)
         # a Lambertian plane shows the irradiance over π, whatever the side it is seen from
         ratios.append((float(shown / whole), float(shown_error / whole)))
     (there, error_there), (back, error_back) = ratios
@@ -263,7 +231,7 @@ def light_has_its_frame(subject: Subject) -> None:
 
     cameras = [looking_at((1.5, 2.0, -4.0), SIZE), looking_at((-3.5, 1.0, 2.5), SIZE)]
     material = constant_material("paper", 0.7, 0.0, 0.5)
-    pixels = torch.cat([_grid() + torch.tensor([i, 0, 0]) for i in range(len(cameras))])
+    pixels = torch.cat([pixel_grid() + torch.tensor([i, 0, 0]) for i in range(len(cameras))])
     normals = _ball_normals(pixels, cameras)
     inside = np.isfinite(normals).all(axis=1)
     pixels, normals = pixels[torch.from_numpy(inside)], normals[inside]
@@ -282,8 +250,8 @@ def light_has_its_frame(subject: Subject) -> None:
                 "world" if of_world else "camera",
             )
             scene = _scene(material, light, smooth_sphere(3))
-            prepared = subject.create().prepare(scene, _capture(cameras))
-            shown, _ = _mean(subject, partial(prepared.radiance, material, light, pixels))
+            prepared = subject.create().prepare(scene, capture_of(cameras))
+            shown, _ = mean_over_seeds(subject, partial(prepared.radiance, material, light, pixels))
             seen = shown.double().cpu().numpy().mean(axis=1)
             right = _in_world(turn @ in_map if turned else in_map, None if of_world else in_camera)
             found = _correlation(seen, normals, right)
@@ -345,10 +313,10 @@ def linear_in_light(subject: Subject) -> None:
     light, camera = uneven_light(16), looking_at((0, 1, 4), SIZE)
     material = constant_material("dielectric", 0.4, 0.1, 0.4)
     prepared = _prepared(subject, _scene(material, light), camera)
-    pixels = _grid(step=2)
+    pixels = pixel_grid(step=2)
 
     def shown(radiance: Tensor, times: int = FEW) -> tuple[Tensor, Tensor]:
-        return _mean(subject, lambda: prepared.radiance(material, EnvironmentMap(radiance), pixels), times)
+        return mean_over_seeds(subject, lambda: prepared.radiance(material, EnvironmentMap(radiance), pixels), times)
 
     once, thrice = shown(light.radiance)[0], shown(3 * light.radiance)[0]
     size = float(once.mean())
@@ -412,7 +380,7 @@ def _compare_gradient(subject: Subject, name: str, low: float, high: float) -> N
     light, camera = uneven_light(16), looking_at((0, 1, 4), SIZE)
     material = constant_material("dielectric", 0.4, 0.2, 0.4)
     prepared = _prepared(subject, _scene(material, light), camera)
-    pixels = _grid(step=2)
+    pixels = pixel_grid(step=2)
     weights = torch.rand(len(pixels), 3, generator=torch.Generator().manual_seed(1))
     if name == "radiance":
         step = 0.1 * torch.rand(light.radiance.shape, generator=torch.Generator().manual_seed(2))
@@ -438,11 +406,11 @@ def _compare_gradient(subject: Subject, name: str, low: float, high: float) -> N
         return total
 
     try:
-        gradient, gradient_error = _mean(subject, slope, MANY)
+        gradient, gradient_error = mean_over_seeds(subject, slope, MANY)
     except RuntimeError as error:
         require(False, f"radiance carries no gradient by {name}, though the traits promise it: {error}")
         return
-    difference, difference_error = _mean(subject, lambda: value(ends[1]) - value(ends[0]), 6 * MANY)
+    difference, difference_error = mean_over_seeds(subject, lambda: value(ends[1]) - value(ends[0]), 6 * MANY)
     slack = 4 * float(np.hypot(float(gradient_error), float(difference_error)))
     require(
         abs(float(gradient - difference)) <= 0.03 * abs(float(difference)) + slack,
@@ -467,10 +435,10 @@ def agrees_with_the_reference(subject: Subject) -> None:
     if subject.has("lambertian"):
         material = constant_material("paper", 0.4, 0.0, 0.3)
     scene = _scene(material, light, two_spheres())
-    pixels = _grid()
+    pixels = pixel_grid()
     prepared = _prepared(subject, scene, camera)
-    shown, shown_error = _mean(subject, lambda: prepared.radiance(material, light, pixels), MANY)
-    truth_of = reference.prepare(scene, _capture([camera]))
+    shown, shown_error = mean_over_seeds(subject, lambda: prepared.radiance(material, light, pixels), MANY)
+    truth_of = reference.prepare(scene, capture_of([camera]))
     runs = []
     for seed in range(MANY):
         seeded(seed)
@@ -507,136 +475,6 @@ def agrees_with_the_reference(subject: Subject) -> None:
     )
 
 
-@contract("reflectance_renderer", traits={"solver", "exposures"}, slow=True)
-def exposures_are_fitted(subject: Subject) -> None:
-    """Of eight photographs of a matt sphere, with brightness from 0.6 to 1.5 and different white balance, a model with
-    fitted exposures finds the factors (15 %), and one with `recorded` exposures takes `View.recorded_exposure`. A
-    photograph that the fit did not use is compared at the factors that suit it: its error is below a quarter of that
-    with equal exposures.
-    """
-    from hir_core.plugins.model_spec import ModelSpec
-    from hir_core.scene import Scene
-    from hir_core.testing.scenes import constant_material, looking_at, sphere, uneven_light
-
-    material, light = constant_material("paper", 0.4, 0.0, 0.5), uneven_light(16)
-    scene = Scene(sphere(24, 36), material, light)
-    angles = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    heights = np.array([1.0, -1.0, 2.0, 0.0, 1.5, -0.5, 2.5, 0.5])
-    capture = _capture(
-        [looking_at((4 * np.sin(a), y, 4 * np.cos(a)), SIZE) for a, y in zip(angles, heights, strict=True)]
-    )
-    brightness = np.array([1.0, 1.4, 0.7, 1.2, 0.6, 1.5, 0.9, 1.1])
-    balance = np.array([[1.1, 1, 0.9], [0.9, 1, 1.1]])[[0, 1, 1, 0, 0, 1, 0, 1]]
-
-    factors = brightness[:, None] * balance
-    everything = range(len(factors))
-
-    def solved(kind: str, given: np.ndarray, views: Sequence[int]) -> tuple[ReflectanceSolver[Any, Any], Any]:
-        solver = subject.create().prepare(scene, _exposed(subject, scene, capture, given))
-        seeded(0)
-        spec = ModelSpec(exposures=kind)  # type: ignore[arg-type]
-        return solver, solver.fit(spec, None, views, 1.0, lambda share: None)
-
-    for kind, given in (("fitted", factors), ("recorded", brightness[:, None] * np.ones(3))):
-        solver, fit = solved(kind, given, everything)
-        exposures = solver.scene(fit, everything, lambda share: None).exposures
-        require(exposures is not None, f"`Solved.exposures` is None for {kind} exposures")
-        assert exposures is not None
-        found = np.log(exposures.detach().cpu().double().numpy()) - np.log(given)
-        worst = float(np.abs(np.expm1(found - found.mean(axis=0))).max())
-        require(worst < 0.15, f"with {kind} exposures a factor is {100 * worst:.0f} % from the true one")
-    errors = {}
-    for kind in ("equal", "fitted"):
-        solver, fit = solved(kind, factors, everything[:-1])
-        errors[kind] = float(solver.errors(fit, [everything[-1]])[0])
-    require(
-        errors["fitted"] < errors["equal"] / 4,
-        f"the error of a photograph that was not used is {errors['fitted']:.2e} with fitted exposures, "
-        f"{errors['equal']:.2e} with equal ones",
-    )
-
-
-@contract("reflectance_renderer", traits={"solver", "takes"}, slow=True)
-def each_take_has_its_light(subject: Subject) -> None:
-    """A sphere is photographed in two takes, under two lights whose bright sides and colours differ. The photographs of
-    both takes are explained with an error below a tenth of that of the same photographs without takes, and each light
-    of `Scene.take_radiance` is nearer to the true light of its take than to the other one.
-    """
-    from hir_core.plugins.model_spec import ModelSpec
-    from hir_core.scene import Scene
-    from hir_core.testing.captures import StoredPixels
-    from hir_core.testing.scenes import constant_material, looking_at, sphere, uneven_light
-
-    first = uneven_light(16)
-    tint = first.radiance.new_tensor([1.3, 1.0, 0.6])
-    second = replace(first, radiance=first.radiance.roll(16, dims=1).flip(0) * tint)
-    lights = {"standing": first, "upside down": second}
-    scene = Scene(sphere(24, 36), constant_material("paper", 0.4, 0.0, 0.5), first)
-    angles = np.linspace(0, 2 * np.pi, 6, endpoint=False)
-    eyes = [(4 * np.sin(a), 1.5 * np.cos(3 * a), 4 * np.cos(a)) for a in angles]
-    capture = _capture([looking_at(eye, SIZE) for eye in (*eyes, *eyes)])
-    prepared = subject.create().prepare(scene, capture)
-    assert scene.material is not None
-    views = []
-    for i, view in enumerate(capture.views):
-        name = list(lights)[i // len(eyes)]
-        pixels = _grid()
-        pixels[:, 0] = i
-        shown, _ = _mean(subject, lambda p=pixels, n=name: prepared.radiance(scene.material, lights[n], p))  # type: ignore[misc]
-        color = 0.5 * shown.cpu().numpy().reshape(SIZE, SIZE, 3)
-        stored = StoredPixels(color.astype(np.float32), (color.sum(axis=2) > 0).astype(np.float32))
-        views.append(replace(view, read=stored, take=name))
-    errors = {}
-    for labelled in (True, False):
-        own = replace(capture, views=tuple(v if labelled else replace(v, take="") for v in views))
-        solver: ReflectanceSolver[Any, Any] = subject.create().prepare(scene, own)  # type: ignore[assignment]
-        seeded(0)
-        everything = range(len(views))
-        fit = solver.fit(ModelSpec(), None, everything, 1.0, lambda share: None)
-        errors[labelled] = float(np.mean(solver.errors(fit, everything)))
-        if not labelled:
-            break
-        found = solver.scene(fit, everything, lambda share: None).scene
-        require(list(found.take_radiance) == list(lights), f"`Scene.take_radiance` has {list(found.take_radiance)}")
-        for name, light in found.take_radiance.items():
-            wrong = next(other for other in lights if other != name)
-            near, far = (_light_distance(light, lights[each].radiance) for each in (name, wrong))
-            require(near < far, f"the light of the take {name!r} is nearer to that of {wrong!r}: {near:.3f}, {far:.3f}")
-    require(
-        errors[True] < errors[False] / 10,
-        f"the mean squared error is {errors[True]:.2e} with a light a take, {errors[False]:.2e} with one",
-    )
-
-
-def _light_distance(found: Tensor, truth: Tensor) -> float:
-    """Mean difference of two lights of the same size, each divided by its mean, after a blur that matt surfaces see."""
-    import torch
-
-    def blurred(light: Tensor) -> Tensor:
-        small = torch.nn.functional.adaptive_avg_pool2d(light.detach().cpu().permute(2, 0, 1)[None].double(), (4, 8))
-        return small / small.mean()
-
-    return float((blurred(found) - blurred(truth)).abs().mean())
-
-
-def _exposed(subject: Subject, scene: Scene, capture: Capture, factors: np.ndarray) -> Capture:
-    """Photographs of a scene by the renderer itself, times factors; green is recorded."""
-    from hir_core.testing.captures import StoredPixels
-
-    prepared = subject.create().prepare(scene, capture)
-    views = []
-    for i, (view, factor) in enumerate(zip(capture.views, factors, strict=True)):
-        pixels = _grid()
-        pixels[:, 0] = i
-        assert scene.material is not None and scene.environment is not None
-        shown, _ = _mean(subject, lambda pixels=pixels: prepared.radiance(scene.material, scene.environment, pixels))  # type: ignore[misc]
-        color = shown.cpu().numpy().reshape(SIZE, SIZE, 3)
-        mask = (color.sum(axis=2) > 0).astype(np.float32)
-        stored = StoredPixels((0.5 * color * factor).astype(np.float32), mask)
-        views.append(replace(view, read=stored, recorded_exposure=0.01 * float(factor[1])))
-    return replace(capture, views=tuple(views))
-
-
 @contract("reflectance_renderer", traits={"camera_lamp"}, slow=True)
 def lamp_is_near_the_camera(subject: Subject) -> None:
     """A matt sphere under a lamp at the camera's centre, of radiant intensity I, shows albedo / π · I / r² in the
@@ -657,7 +495,7 @@ def lamp_is_near_the_camera(subject: Subject) -> None:
         lamp = CameraLamp(torch.full((3,), intensity), torch.tensor([x, 0.0, 0.0]), torch.tensor(exponent))
         light, camera = EnvironmentMap(dark, lamp=lamp), looking_at((0, 0, distance), SIZE)
         prepared = _prepared(subject, _scene(material, light, smooth_sphere(4)), camera)
-        value, _ = _mean(subject, lambda: prepared.radiance(material, light, pixels).mean(dim=1))
+        value, _ = mean_over_seeds(subject, lambda: prepared.radiance(material, light, pixels).mean(dim=1))
         return np.asarray(value.detach().cpu().double().numpy())
 
     for distance in (3.0, 5.0):

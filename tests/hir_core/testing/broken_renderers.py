@@ -247,6 +247,21 @@ class Exposed(EquallyExposed):
         return self.inner.prepare(scene, capture, downsample)
 
 
+class Forgetful(EquallyExposed):
+    """A fit continues the one before it."""
+
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
+        solver = self.inner.prepare(scene, capture, downsample)
+        fit, earlier = solver.fit, []
+
+        def fit_on(spec: ModelSpec, initial: Any, *rest: Any) -> Any:
+            earlier.append(fit(spec, initial or next(iter(earlier[-1:]), None), *rest))
+            return earlier[-1]
+
+        solver.fit = fit_on  # type: ignore[method-assign]
+        return solver
+
+
 class OneLight(EquallyExposed):
     """Takes have no lights of their own."""
 
@@ -272,6 +287,7 @@ BROKEN_REFLECTANCE: dict[str, Component] = {
     **{f"gradient_by_{name}": reflectance(half) for name, half in HALVES.items()},
     "gradient_by_light": reflectance(HalfLight),
     "agrees_with_the_reference": reflectance(Biased),
+    "fits_depend_on_their_arguments": of_takes(Forgetful),
     "exposures_are_fitted": solving(EquallyExposed),
     "each_take_has_its_light": of_takes(OneLight),
     "lamp_is_near_the_camera": with_lamp(WithoutLamp),
