@@ -24,6 +24,7 @@ from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels
 from hir_core.stages.reflectance.selection.hypotheses import hypothesis
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, Budget
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import srgb_residual
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
 
 REFERENCE_DIRECTIONS = 128
@@ -41,8 +42,9 @@ def solver_with(task: Task, directions: int, seed: int) -> TransportSolver:
 
 def noisy_errors(solver: TransportSolver, fit: Fit, views: list[int]) -> np.ndarray:
     """Mean squares of one draw of the lobes for each view."""
-    view, residual = solver._residuals(fit, solver._pixels.compared(views), 0)
-    square = residual.square().mean(dim=1).cpu().numpy()
+    pixels, renderings = solver._renderings(fit, views)
+    square = srgb_residual(pixels, renderings[0].clamp(0, 1)).square().mean(dim=1).cpu().numpy()
+    view = pixels.view.cpu().numpy()
     return np.array([square[view == v].mean() for v in views])
 
 

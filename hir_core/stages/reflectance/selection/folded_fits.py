@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Generic, TypeVar, final
 
 import numpy as np
@@ -26,13 +25,8 @@ class FoldedFit(Generic[FitT]):
     spec: ModelSpec
     fits: tuple[FitT, ...]
     errors: NDArray[np.float64]
-    judge_between_lights: Callable[[], NDArray[np.float64]]
-    """Computes `errors_between_lights`, which few fits need."""
-
-    @cached_property
-    def errors_between_lights(self) -> NDArray[np.float64]:
-        """`ReflectanceSolver.errors_between_lights` of every held-out view."""
-        return self.judge_between_lights()
+    errors_between_lights: NDArray[np.float64]
+    """`ReflectanceSolver.errors_between_lights` of every held-out view."""
 
     def errors_beside(self, other: ModelSpec) -> NDArray[np.float64]:
         """The errors for a comparison with another model: those between lights where its light is another."""
@@ -55,7 +49,7 @@ def on_more_views(fit: FoldedFit[FitT], further: FoldedFit[FitT]) -> FoldedFit[F
         fit.spec,
         fit.fits + further.fits,
         np.concatenate([fit.errors, further.errors]),
-        lambda: np.concatenate([fit.errors_between_lights, further.errors_between_lights]),
+        np.concatenate([fit.errors_between_lights, further.errors_between_lights]),
     )
 
 
@@ -83,18 +77,14 @@ class FoldedFits(Generic[FitT, RefinementT]):
         """The model fitted on each of the folds, from `initial` (of the same folds) or from its own initial guess."""
         folds = self.first if folds is None else folds
         solver = self._fits.solver
-        fits, errors = [], []
+        fits, errors, between_lights = [], [], []
         for position, number in enumerate(folds):
             training, held_out = self._folds[number]
             before = initial.fits[position] if initial is not None else None
             fits.append(self._fits.fit(spec, before, training, effort, pixel_share, cost_effort))
             errors.append(solver.errors(fits[-1], held_out))
-
-        def between_lights() -> NDArray[np.float64]:
-            views = [self._folds[number][1] for number in folds]
-            return np.concatenate([solver.errors_between_lights(*each) for each in zip(fits, views, strict=True)])
-
-        return FoldedFit(spec, tuple(fits), np.concatenate(errors), between_lights)
+            between_lights.append(solver.errors_between_lights(fits[-1], held_out))
+        return FoldedFit(spec, tuple(fits), np.concatenate(errors), np.concatenate(between_lights))
 
     def in_branches(
         self, jobs: Sequence[Callable[[FoldedFits[FitT, RefinementT]], T]], ended: Callable[[T], None]

@@ -177,9 +177,8 @@ class RefinementSelection(Generic[FitT, RefinementT]):
             return None
         control, candidate = self._per_texel(rival)
         lowered = candidate.errors / np.maximum(control.errors, SMALLEST_ERROR)
-        at_vertices = FoldedFit(
-            rival.spec, rival.fits, rival.errors * lowered, lambda: rival.errors_between_lights * lowered
-        )
+        errors, between_lights = rival.errors * lowered, rival.errors_between_lights * lowered
+        at_vertices = replace(rival, errors=errors, errors_between_lights=between_lights)
         before, after = self.fit.errors_beside(rival.spec), at_vertices.errors_beside(self.spec)
         accepted = is_refined(before, after, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
         if accepted:

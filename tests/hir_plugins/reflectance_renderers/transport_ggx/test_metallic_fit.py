@@ -25,6 +25,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_bat
     predict,
     refresh_matrices,
     specular_matrices,
+    srgb_residual,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.resident_batches import ResidentBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_metalness import metallic_of_albedos
@@ -123,7 +124,8 @@ def test_errors_do_not_contain_the_noise_of_directions() -> None:
                 parameters_of(solver, torch.ones(1, 1)), diffuse=base, width=logit_of_alpha(torch.tensor([[0.25]]))
             ),
         )
-        _, residual = solver._residuals(fit, solver._pixels.compared(views), 0)
+        pixels, renderings = solver._renderings(fit, views)
+        residual = srgb_residual(pixels, renderings[0].clamp(0, 1))
         noisy[directions], errors[directions] = float(residual.square().mean()), float(solver.errors(fit, views).mean())
         assert torch.is_grad_enabled()
     assert noisy[1024] == pytest.approx(errors[1024], rel=0.02)

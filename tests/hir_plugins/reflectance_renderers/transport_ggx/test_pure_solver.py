@@ -8,6 +8,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -25,7 +26,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light impor
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
-from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
 from tests.fixtures.made_captures import BROWN, TEXELS, around, bowl, lamps, make_material, photographs
 
 VIEWS = range(6)
@@ -178,6 +179,28 @@ def test_hypotheses_share_the_irradiance_of_their_pixels(
         again = alone.fit(kind, None, VIEWS[:4], 1.0, silent, None, 0.5)
         assert torch.equal(again.parameters.light, fit.parameters.light)
         assert (alone.errors(again, VIEWS[4:]) == error).all()
+
+
+def test_both_kinds_of_errors_share_their_renderings(
+    capture: tuple[Scene, Capture], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And those of another fit, or of other views, are rendered."""
+    solver, rendered = solver_of(capture, replace(OPTIONS, steps=5)), list[int]()
+    one, other = (solver.fit(ModelSpec(light_frame=f), None, VIEWS[:4], 1.0, silent) for f in ("world", "camera"))  # type: ignore[arg-type]
+    predicted = solver._predicted
+
+    def counted(fit: Fit, *rest: Any) -> Any:
+        rendered.append(id(fit))
+        return predicted(fit, *rest)
+
+    monkeypatch.setattr(solver, "_predicted", counted)
+    found = solver.errors(one, VIEWS[4:]), solver.errors_between_lights(one, VIEWS[4:])
+    assert rendered == [id(one)]
+    assert (found[0].mean() != solver.errors(other, VIEWS[4:]).mean()) and rendered == [id(one), id(other)]
+    solver.errors(other, VIEWS[3:])
+    assert rendered == [id(one), id(other), id(other)]
+    again = solver.errors(one, VIEWS[4:]), solver.errors_between_lights(one, VIEWS[4:])
+    assert (np.stack(again) == np.stack(found)).all() and len(rendered) == 4
 
 
 def test_fits_at_the_same_time_are_those_of_fits_alone(capture: tuple[Scene, Capture]) -> None:
