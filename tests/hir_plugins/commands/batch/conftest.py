@@ -12,14 +12,9 @@ import pytest
 from fsspec.implementations.memory import MemoryFileSystem
 
 from hir_plugins.commands.batch.storage.storage_path import StoragePath
-from tests.fixtures.runs import QUICK, make_tiny
+from tests.fixtures.runs import make_tiny, quicker
 
-QUICKER = (
-    *QUICK,
-    "geometry.photo_consistency=off",
-    "geometry.iterations=5",
-    "export=['glb']",
-)
+QUICKER = quicker("geometry.photo_consistency=off", "geometry.iterations=5", "export=['glb']")
 
 
 class UnreliableStore(MemoryFileSystem):
