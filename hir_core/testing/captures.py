@@ -116,6 +116,24 @@ def surface_mesh() -> Scene:
     return Scene(Mesh(torch.from_numpy(positions), Topology(torch.from_numpy(faces))))
 
 
+def outer_surface_mesh(cells: int = 64) -> Scene:
+    """The true surface as one closed mesh."""
+    import torch
+    from skimage.measure import marching_cubes
+
+    from hir_core.scene import Mesh, Scene, Topology
+
+    low = np.min([np.subtract(centre, radius) for centre, radius in BALLS], axis=0) - 0.1
+    high = np.max([np.add(centre, radius) for centre, radius in BALLS], axis=0) + 0.1
+    axes = [np.linspace(*ends, cells) for ends in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    distance = distance_to_surface(points.reshape(-1, 3)).reshape(points.shape[:3])
+    spacing = tuple((high - low) / (cells - 1))
+    positions, faces, _, _ = marching_cubes(distance, 0.0, spacing=spacing)
+    vertices = torch.from_numpy((positions + low).astype(np.float32))
+    return Scene(Mesh(vertices, Topology(torch.from_numpy(faces.astype(np.int64)))))
+
+
 def similarity_between(source: Array, target: Array) -> tuple[Array, float]:
     """The 4×4 similarity that brings points (N, 3) onto others best, and the largest distance that is left (Umeyama
     1991). A mirrored world leaves a large one.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import permutations, product
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from hir_core.errors import HirError
 from hir_core.testing.captures import (
     TinyCapture,
     distance_to_surface,
+    outer_surface_mesh,
     similarity_between,
     tiny_capture,
 )
@@ -39,11 +39,17 @@ def _case(subject: Subject) -> tuple[TinyCapture, Capture, Initializer]:
     return truth, input_capture, subject.create(**options)
 
 
+def _given_scene(subject: Subject) -> Scene | None:
+    """The true surface, for an initializer that changes one."""
+    return outer_surface_mesh() if subject.has("needs_surface") else None
+
+
 def _initialized(subject: Subject) -> tuple[TinyCapture, Capture, Capture, Scene | None]:
     truth, input_capture, initializer = _case(subject)
     if "initialized" not in subject.memory:
         seeded(0)
-        subject.memory["initialized"] = initializer.initialize(input_capture, None, subject.folder())
+        given = input_capture, _given_scene(subject)
+        subject.memory["initialized"] = initializer.initialize(*given, subject.folder())
     capture, scene = subject.memory["initialized"]
     return truth, input_capture, capture, scene
 
@@ -54,7 +60,7 @@ def exercise(subject: Subject, device: str) -> Exercise:
     _, input_capture, initializer = _case(subject)
 
     def run() -> dict[str, np.ndarray]:
-        capture, scene = initializer.initialize(input_capture, None, subject.folder())
+        capture, scene = initializer.initialize(input_capture, _given_scene(subject), subject.folder())
         subject.memory.setdefault("initialized", (capture, scene))
         found = {"cameras": np.array([v.camera.world_to_camera for v in capture.views if v.camera is not None])}
         if scene is not None:
@@ -77,7 +83,8 @@ def returns_capture_and_scene(subject: Subject) -> None:
     _, input_capture, initializer = _case(subject)
     if "initialized" not in subject.memory:
         seeded(0)
-        subject.memory["initialized"] = initializer.initialize(input_capture, None, subject.folder())
+        given = input_capture, _given_scene(subject)
+        subject.memory["initialized"] = initializer.initialize(*given, subject.folder())
     returned = subject.memory["initialized"]
     require(
         isinstance(returned, tuple) and len(returned) == 2,
@@ -219,15 +226,15 @@ def unusable_captures_are_refused(subject: Subject) -> None:
         "a single view": replace(input_capture, views=input_capture.views[:1], points=None),
     }
     for name, capture in cases.items():
-        _refused(initializer, capture, name, subject.folder())
+        _refused(initializer, capture, name, subject)
 
 
-def _refused(initializer: Initializer, capture: Capture, name: str, folder: Path) -> None:
+def _refused(initializer: Initializer, capture: Capture, name: str, subject: Subject) -> None:
     import torch
 
     seeded(0)
     try:
-        _, scene = initializer.initialize(capture, None, folder)
+        _, scene = initializer.initialize(capture, _given_scene(subject), subject.folder())
     except HirError as error:
         require(len(str(error)) > 20, f"given {name}, it raises {type(error).__name__}({str(error)!r})")
         return
