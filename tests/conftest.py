@@ -13,7 +13,7 @@ from hir_exporters.textures.ktx2 import MODULES_VARIABLE
 from hypothesis import settings
 from parity.browser import chromium_command
 
-pytest_plugins = ["tests.fixtures.environments", "tests.fixtures.runs", "tests.fixtures.one_pixel_pictures"]
+pytest_plugins = ["tests.fixtures.virtual_environments", "tests.fixtures.runs", "tests.fixtures.one_pixel_pictures"]
 
 ROOT = Path(__file__).resolve().parent.parent
 

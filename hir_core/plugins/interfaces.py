@@ -214,13 +214,13 @@ class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
         that suit it best.
         """
 
-    def errors_between_lights(self, fit: FitT, views: Sequence[int]) -> NDArray[np.float64]:
-        """`errors` for comparisons of models whose lights differ in kind; by default the same.
+    def errors_between_lights(self, fit: FitT, views: Sequence[int]) -> NDArray[np.float64] | None:
+        """`errors` for comparisons of models whose lights differ in kind; None, the default, where they are the same.
 
-        A light that moves with the camera imitates what depends on the angle of view alone. A solver that lacks such a
-        property of surfaces, as their brightening towards grazing angles, leaves it out of these errors.
+        A light that moves with the camera imitates what depends on the angle of view alone. A solver whose models lack
+        such a property of surfaces, as their brightening towards grazing angles, leaves it out of these errors.
         """
-        return self.errors(fit, views)
+        return None
 
     @abstractmethod
     def scene(self, fit: FitT, views: Sequence[int], report: Callable[[float], None]) -> Solved[RefinementT]:

@@ -103,20 +103,7 @@ def surface_points(count: int = 3000) -> OrientedPoints:
     return OrientedPoints(position[outside], normal[outside], _color(position[outside], 3.0))
 
 
-def surface_mesh() -> Scene:
-    """The true surface as a mesh: both balls, the parts of each inside the other included."""
-    import torch
-    import trimesh
-
-    from hir_core.scene import Mesh, Scene, Topology
-
-    ball = trimesh.creation.icosphere(4, 1.0)
-    positions = np.concatenate([centre + radius * ball.vertices for centre, radius in BALLS]).astype(np.float32)
-    faces = np.concatenate([ball.faces + i * len(ball.vertices) for i in range(len(BALLS))]).astype(np.int64)
-    return Scene(Mesh(torch.from_numpy(positions), Topology(torch.from_numpy(faces))))
-
-
-def outer_surface_mesh(cells: int = 64) -> Scene:
+def surface_mesh(cells: int = 64) -> Scene:
     """The true surface as one closed mesh."""
     import torch
     from skimage.measure import marching_cubes

@@ -14,7 +14,7 @@ import pytest
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, AssetMesh
 from hir_exporters.scene_format import load_scene, save_scene
 
-from tests.fixtures.environments import borrow_dependencies, environment_python, message
+from tests.fixtures.virtual_environments import borrow_dependencies, environment_python, message
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "pxr", "scipy")

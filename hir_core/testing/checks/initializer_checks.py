@@ -12,8 +12,8 @@ from hir_core.errors import HirError
 from hir_core.testing.captures import (
     TinyCapture,
     distance_to_surface,
-    outer_surface_mesh,
     similarity_between,
+    surface_mesh,
     tiny_capture,
 )
 from hir_core.testing.contract import Subject, contract, require
@@ -41,7 +41,7 @@ def _case(subject: Subject) -> tuple[TinyCapture, Capture, Initializer]:
 
 def _given_scene(subject: Subject) -> Scene | None:
     """The true surface, for an initializer that changes one."""
-    return outer_surface_mesh() if subject.has("needs_surface") else None
+    return surface_mesh() if subject.has("needs_surface") else None
 
 
 def _initialized(subject: Subject) -> tuple[TinyCapture, Capture, Capture, Scene | None]:

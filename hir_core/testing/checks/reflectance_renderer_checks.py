@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hir_core.testing.checks.reflectance_probes import FEW, MANY, SIZE, capture_of, mean_over_seeds, pixel_grid
+from hir_core.testing.checks.reflectance_samples import FEW, MANY, SIZE, capture_of, mean_over_seeds, pixel_grid
 from hir_core.testing.contract import NotApplicable, Subject, contract, require
 from hir_core.testing.exercise import Exercise, seeded
 

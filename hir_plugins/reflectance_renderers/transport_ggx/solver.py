@@ -56,6 +56,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import
     LampPoints,
     lamp_irradiance,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import UPRIGHT, camera_rotations
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.shading import TransportShading
@@ -66,9 +67,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_maps imp
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import Indirect
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve import solve_scene
 
-UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
-"""Rotation from a camera's axes to those of a light that moves with it: y up and z backwards, so that the light's image
-is upright."""
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
@@ -122,8 +120,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self._of_thread = local()
         self._lit_surface: tuple[Parameters, ModelSpec, tuple[int, ...], LitSurface] | None = None
         self._grids: dict[int, GradientGrid | None] = {}
-        self._rotation = _camera_rotations(capture, transport.surface.positions.device)
-        self._cameras = _lamp_cameras(capture, transport.surface.positions)
+        self._rotation = camera_rotations(capture, transport.surface.positions.device)
+        self._cameras = LampCameras.of_capture(capture, transport.surface.positions)
         self._pixels = PhotographPixels(transport, capture, downsample, options, self._rotation, self._cameras)
 
     def with_terms(self, terms: Sequence[WeightedTerm]) -> TransportSolver:
@@ -581,17 +579,3 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         )
         last = losses[-max(1, len(losses) // 5) :]
         return sum(last) / len(last) if last else math.inf
-
-
-def _lamp_cameras(capture: Capture, positions: Float[Tensor, "V 3"]) -> LampCameras:
-    """The cameras of the views; the unit of length is their mean distance from the middle of the object."""
-    middle = ((positions.max(dim=0).values + positions.min(dim=0).values) / 2).cpu().numpy()
-    distances = [float(np.linalg.norm(camera.center - middle)) for camera in capture.cameras]
-    unit = max(float(np.mean(distances)), 1e-30)
-    return LampCameras.of(dict(enumerate(capture.cameras)), positions.device, unit)
-
-
-def _camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "N 3 3"]:
-    """Rotations from the world to the axes of a light that moves with each view's camera."""
-    rotations = np.stack([c.world_to_camera[:3, :3] for c in capture.cameras])
-    return UPRIGHT.to(device) @ torch.from_numpy(rotations.astype(np.float32)).to(device)

@@ -247,8 +247,8 @@ class Exposed(EquallyExposed):
         return self.inner.prepare(scene, capture, downsample)
 
 
-class Forgetful(EquallyExposed):
-    """A fit continues the one before it."""
+class Continuing(EquallyExposed):
+    """Each fit goes on from the one before, also where it should start anew."""
 
     def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
         solver = self.inner.prepare(scene, capture, downsample)
@@ -287,7 +287,7 @@ BROKEN_REFLECTANCE: dict[str, Component] = {
     **{f"gradient_by_{name}": reflectance(half) for name, half in HALVES.items()},
     "gradient_by_light": reflectance(HalfLight),
     "agrees_with_the_reference": reflectance(Biased),
-    "fits_depend_on_their_arguments": of_takes(Forgetful),
+    "fits_depend_on_their_arguments": of_takes(Continuing),
     "exposures_are_fitted": solving(EquallyExposed),
     "each_take_has_its_light": of_takes(OneLight),
     "lamp_is_near_the_camera": with_lamp(WithoutLamp),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.fixtures.environments import EXAMPLE, ROOT, environment_python, message, packages_of
+from tests.fixtures.virtual_environments import EXAMPLE, ROOT, environment_python, message, packages_of
 
 
 @pytest.fixture(scope="module")

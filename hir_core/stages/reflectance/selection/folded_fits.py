@@ -83,7 +83,8 @@ class FoldedFits(Generic[FitT, RefinementT]):
             before = initial.fits[position] if initial is not None else None
             fits.append(self._fits.fit(spec, before, training, effort, pixel_share, cost_effort))
             errors.append(solver.errors(fits[-1], held_out))
-            between_lights.append(solver.errors_between_lights(fits[-1], held_out))
+            own = solver.errors_between_lights(fits[-1], held_out)
+            between_lights.append(errors[-1] if own is None else own)
         return FoldedFit(spec, tuple(fits), np.concatenate(errors), np.concatenate(between_lights))
 
     def in_branches(

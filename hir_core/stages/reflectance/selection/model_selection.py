@@ -298,11 +298,9 @@ def _tied(contestants: Sequence[Contestant[FitT]], fits: Mapping[ModelSpec, Fold
     """The best one under the best light, those that it does not significantly exceed, and those that need no
     improvement.
     """
-    lights = {each.spec.light for each in contestants}
-    if len(lights) > 1:
-        nearest = max(contestants, key=lambda each: mean_decibels(fits[each.spec].errors_between_lights))
-        lights = {nearest.spec.light}
-    best = max((fits[each.spec] for each in contestants if each.spec.light in lights), key=lambda fit: fit.held_out_db)
+    compared = [fits[each.spec] for each in contestants]
+    light = max(compared, key=lambda fit: mean_decibels(fit.errors_between_lights)).spec.light
+    best = max((fit for fit in compared if fit.spec.light == light), key=lambda fit: fit.held_out_db)
     return [
         each
         for each in contestants

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from hir_core.capture import Camera
+from hir_core.capture import Camera, Capture
 from hir_core.scene import CameraLamp
 from hir_plugins.reflectance_renderers.brdf_torch import schlick_weight, specular_lobe
 from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
@@ -47,6 +47,13 @@ class LampCameras:
         for view, camera in cameras.items():
             centers[view], axes[view] = camera.center, camera.world_to_camera[:3, :3]
         return cls(torch.from_numpy(centers).to(device), torch.from_numpy(axes).to(device), unit)
+
+    @classmethod
+    def of_capture(cls, capture: Capture, positions: Float[Tensor, "V 3"]) -> LampCameras:
+        """The cameras of all views; the unit is their mean distance from the middle of the object."""
+        middle = ((positions.max(dim=0).values + positions.min(dim=0).values) / 2).cpu().numpy()
+        distances = [float(np.linalg.norm(camera.center - middle)) for camera in capture.cameras]
+        return cls.of(dict(enumerate(capture.cameras)), positions.device, max(float(np.mean(distances)), 1e-30))
 
     def in_scene(self, lamp: CameraLamp) -> CameraLamp:
         """A lamp of this unit in the scene's."""

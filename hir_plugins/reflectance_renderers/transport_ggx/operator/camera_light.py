@@ -5,17 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from hir_core.capture import Capture
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap, SparsityPattern
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import spiral_points, tangent_frame
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
+UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
+"""Rotation from a camera's axes to those of a light that moves with it: y up and z backwards, so that the light's image
+is upright."""
 PIXELS_PER_CHUNK = 1 << 13
 """Pixels whose directions are looked up at a time: 200 bytes a direction, freed again."""
+
+
+def camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "N 3 3"]:
+    """Rotations from the world to the axes of a light that moves with each view's camera."""
+    rotations = np.stack([c.world_to_camera[:3, :3] for c in capture.cameras])
+    return UPRIGHT.to(device) @ torch.from_numpy(rotations.astype(np.float32)).to(device)
 
 
 def pixel_irradiance(

@@ -25,12 +25,12 @@ def photographed(radiance: Tensor) -> PixelColors:
     return PixelColors(linear_to_srgb(radiance), torch.zeros(radiance.shape, dtype=torch.bool), VIEW, COSINE)
 
 
-def errors_of(pixels: PixelColors, views: Sequence[int] = range(VIEWS)) -> tuple[Tensor, Tensor]:
+def errors_of(pixels: PixelColors) -> tuple[Tensor, Tensor]:
     """Without and with the gain."""
 
     def errors(shown: Sequence[Tensor]) -> Tensor:
         squares = (srgb_residual(pixels, shown[0]) * srgb_residual(pixels, shown[-1])).mean(dim=1)
-        return torch.stack([squares[pixels.view == view].mean() for view in views])
+        return torch.stack([squares[pixels.view == view].mean() for view in range(VIEWS)])
 
     return errors([PREDICTED]), errors_with_grazing_gain(pixels, [PREDICTED, PREDICTED], errors)
 

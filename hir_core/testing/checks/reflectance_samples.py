@@ -1,4 +1,4 @@
-"""What contracts of reflectance renderers share: a capture of given cameras, pixels, means over seeds."""
+"""What contracts of reflectance renderers look at: cameras without photographs, pixels, means over seeds."""
 
 from __future__ import annotations
 
