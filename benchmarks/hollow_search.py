@@ -45,9 +45,9 @@ def measured(path: Path, seed: int, plugins: PluginManager) -> dict[str, Any]:
     middle[:3, 3] = -points.mean(axis=0)
     photographs = blurred_photographs(capture.transformed(middle), BLUR_VOXELS * volume.spacing)
     volume = replace(volume, origin=volume.origin + middle[:3, 3])
-    began, hollows = time.process_time(), []
+    began, hollows, closed = time.process_time(), [], volume.values > 0
     while len(hollows) < HollowsOptions.max_hollows:
-        hollow = find_hollow(volume, photographs, seed)
+        hollow = find_hollow(volume, photographs, seed, closed)
         if hollow is None:
             break
         hollows.append({"depth": hollow.depth, "explained": hollow.explained, "from_far": hollow.explained_from_far})

@@ -232,7 +232,7 @@ class StereoOptions:
 class HollowsOptions:
     """Options of the search for hollows."""
 
-    max_hollows: Annotated[int, Interval(ge=0)] = 4
+    max_hollows: Annotated[int, Interval(ge=0)] = 8
     """At most this many openings are sunk, the one that explains most first; 0 looks for none."""
     max_photographs: Annotated[int, Interval(ge=6)] = 64
     """At most this many photographs are compared, those whose directions cover the others' best: time grows with them.

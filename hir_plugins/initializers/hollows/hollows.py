@@ -65,10 +65,11 @@ class Hollows(Initializer):
         moved = replace(moved, views=tuple(moved.views[i] for i in used))
         surface = SweptSurface(vertices, faces)
         search = signed_distance_volume(surface, vertices, 1 / SEARCH_VOXELS)
+        closed = search.values > 0
         photographs = blurred_photographs(moved, BLUR_VOXELS * search.spacing)
         found: list[tuple[Volume, Hollow]] = []
         while len(found) < self._config.max_hollows:
-            hollow = find_hollow(search, photographs, self._config.seed)
+            hollow = find_hollow(search, photographs, self._config.seed, closed)
             if hollow is None:
                 break
             found.append((search, hollow))

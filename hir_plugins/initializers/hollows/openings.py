@@ -57,6 +57,10 @@ class Opening:
         inside = np.asarray(((cell >= 0) & (cell < self.region.shape)).all(axis=1))
         return np.clip(cell, 0, np.array(self.region.shape) - 1), inside
 
+    def cell_centers(self) -> Array:
+        """The middles (N, 3) of the cells of the region."""
+        return np.asarray((np.argwhere(self.region) + self.corner) @ self.axes + self.level * self.normal)
+
     def contains(self, points: NDArray[np.number]) -> Flags:
         """Whether the columns of the region contain the points (N, 3)."""
         cell, inside = self.cells(points)
@@ -77,6 +81,11 @@ class Opening:
         other = change(self.region, iterations=abs(step))
         region = np.where(np.isin(sectors, chosen), other, self.region)
         return Opening(self.axes, self.normal, self.level, self.corner, region)
+
+    def smoothed(self, sigma: float) -> Opening:
+        """The opening with an outline without detail of less than `sigma` voxels."""
+        region = gaussian_filter(np.pad(self.region, 2).astype(np.float32), sigma) > 0.5
+        return Opening(self.axes, self.normal, self.level, self.corner - 2, region)
 
     def sectors(self, count: int) -> NDArray[np.int64]:
         """The sector of each cell (A, B), by its angle around the middle of the region."""

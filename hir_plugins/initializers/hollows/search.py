@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import stdtrit
 
 from hir_core.mesh.ray_casting import MeshQueries
-from hir_plugins.initializers.hollows.openings import Opening, find_openings, surface_cells
+from hir_plugins.initializers.hollows.openings import Flags, Opening, find_openings, surface_cells
 from hir_plugins.initializers.hollows.photo_prediction import (
     BlurredPhotograph,
     Pixels,
@@ -32,7 +32,11 @@ DISTANT_DEGREES, THIRD_OF_VARIANCE = 35.0, 1 / 3
 """Photographs that are this far apart must explain that share: reflections, too, agree between near ones."""
 
 LEAST_DEPTH = 0.45
-"""Of a hollow, as a share of its width (the square root of its area): flatter ones are left to stereo."""
+"""Of a hollow, as a share of its width (the square root of its area): flatter ones must explain `WELL_EXPLAINED`."""
+
+WELL_EXPLAINED = 2 / 3, 1 / 2
+"""Shares of the variance that a flat hollow must explain, by all photographs and by distant ones. A curved surface
+inside a hull is a little like one, too."""
 
 CONFIDENCE = 0.95
 """That a hollow explains more than the surface before it, by Student's t over photographs."""
@@ -43,15 +47,22 @@ LEAST_VIEWS, LEAST_PIXELS, MOST_PIXELS = 6, 12, 80
 MOST_UNKNOWN = 0.25
 """Share of a photograph's pixels that no other photograph need predict: few look at the floor of a deep well."""
 
-CANDIDATES, DEPTHS = 5, 9
+CANDIDATES, DEPTHS = 12, 9
 """Openings that are tried, and depths of each."""
+
+SAME_PLANE, SAME_LEVEL, COVERED = 0.9, 4.0, 0.7
+"""Cosine between normals, voxels between planes and share of the cells, from which an opening is part of another one.
+"""
 
 WINDOW_MARGIN = 3
 """Voxels around an opening whose pixels are looked at, too."""
 
 SECTORS = 12
-STEPS = 4, 2, -2, 1, -1
-"""Of the outline in each sector, in voxels, one after the other."""
+FIRST_STEPS, STEPS = (4, -2), (4, 2, -2, 1, -1)
+"""Of a first outline in each sector, in voxels, one after the other; and of the one that is found with them."""
+
+OUTLINE_DETAIL = 1.5
+"""Of a refined outline, in voxels: sectors that move by themselves leave steps."""
 
 SAME_SHARE = 0.01
 """Share of the explained error by which another depth may be worse and counts as equal."""
@@ -84,10 +95,11 @@ class Hollow:
     @property
     def is_confirmed(self) -> bool:
         """Whether it explains enough, from near and far, is deep enough, and its gain is no noise."""
+        deep = self.depth >= LEAST_DEPTH * float(self.opening.region.sum()) ** 0.5
+        least, least_from_far = (HALF_OF_VARIANCE, THIRD_OF_VARIANCE) if deep else WELL_EXPLAINED
         return (
-            self.explained >= HALF_OF_VARIANCE
-            and self.explained_from_far >= THIRD_OF_VARIANCE
-            and self.depth >= LEAST_DEPTH * float(self.opening.region.sum()) ** 0.5
+            self.explained >= least
+            and self.explained_from_far >= least_from_far
             and self.gain >= float(stdtrit(self.views - 1, (1 + CONFIDENCE) / 2))
         )
 
@@ -122,41 +134,66 @@ class _Window:
         return np.array(means)
 
 
-def find_hollow(volume: Volume, photographs: Sequence[BlurredPhotograph], seed: int) -> Hollow | None:
-    """The hollow that explains most; None where no candidate explains enough, or the object is thinner than a voxel."""
+def find_hollow(
+    volume: Volume, photographs: Sequence[BlurredPhotograph], seed: int, closed: Flags | None = None
+) -> Hollow | None:
+    """The hollow that explains most; None where no candidate explains enough, or the object is thinner than a voxel.
+
+    `closed` (X, Y, Z): inside of the surface before its first hollow. The walls of a hollow are measured in it, so two
+    hollows that meet are a hole.
+    """
     if not (volume.values > 0).any():
         return None
+    closed = volume.values > 0 if closed is None else closed
     surface = smooth_surface(volume)
     cells = surface_cells(volume.values > 0)
     variance, count = color_variance(volume.origin + cells * volume.spacing, surface, photographs, 1.8 * volume.spacing)
     searches = []
     for opening in find_openings(volume, cells, variance, count >= 4)[:CANDIDATES]:
-        search = _search(volume, surface, opening, photographs, seed)
+        search = _search(volume, closed, surface, opening, photographs, seed)
         if search is not None:
             sunk_once = search.best(opening, search.depths(opening)[-1::-2])
             searches.append((search.saved(sunk_once) * int(opening.region.sum()), search, sunk_once))
+    rejected: list[Opening] = []
     for saved, search, sunk_once in sorted(searches, key=lambda each: -each[0]):
         if saved <= 0 or search.explained(sunk_once) < PROMISING:
             continue
-        found = search.refined(sunk_once)
+        if any(_is_part(sunk_once.opening, other) for other in rejected):
+            continue
+        found = search.refined(sunk_once, FIRST_STEPS)
         # the window of a first outline that was too small does not show how much larger it is
-        wider = _search(volume, surface, found.opening, photographs, seed)
+        wider = _search(volume, closed, surface, found.opening, photographs, seed)
         if wider is not None:
-            search, found = wider, wider.refined(wider.sunk(found.opening, found.depth))
+            search, found = wider, wider.refined(wider.sunk(found.opening, found.depth), STEPS)
         hollow = search.hollow(found)
         if hollow.is_confirmed:
             return hollow
+        rejected.append(hollow.opening)
     return None
 
 
+def _is_part(opening: Opening, other: Opening) -> bool:
+    """Whether an opening lies in the plane of another one and mostly in its region."""
+    if opening.normal @ other.normal < SAME_PLANE:
+        return False
+    centers = opening.cell_centers()
+    near = np.abs(centers @ other.normal - other.level) <= SAME_LEVEL
+    return float((near & other.contains(centers)).mean()) >= COVERED
+
+
 def _search(
-    volume: Volume, surface: MeshQueries, opening: Opening, photographs: Sequence[BlurredPhotograph], seed: int
+    volume: Volume,
+    closed: Flags,
+    surface: MeshQueries,
+    opening: Opening,
+    photographs: Sequence[BlurredPhotograph],
+    seed: int,
 ) -> _Search | None:
     """None where too few photographs look in. `surface` is that of the volume."""
     window = _window(volume, opening.grown(WINDOW_MARGIN), photographs, seed)
     if window is None:
         return None
-    wall = wall_distance(volume.values > 0, opening.grown(max(STEPS)))
+    wall = wall_distance(closed, opening.grown(max(FIRST_STEPS)))
     return _Search(volume, photographs, window, window.errors(surface, photographs, LIFT * volume.spacing), wall)
 
 
@@ -170,9 +207,7 @@ def smooth_surface(volume: Volume) -> MeshQueries:
 
 def _window(volume: Volume, opening: Opening, photographs: Sequence[BlurredPhotograph], seed: int) -> _Window | None:
     """None where too few photographs look in."""
-    cells = np.argwhere(opening.region) + opening.corner
-    positions = cells @ opening.axes + opening.level * opening.normal
-    points = volume.origin + positions * volume.spacing
+    points = volume.origin + opening.cell_centers() * volume.spacing
     rng = np.random.default_rng(seed)
     pixels, deviations = {}, {}
     for i, photograph in enumerate(photographs):
@@ -235,15 +270,17 @@ class _Search:
                 near.append(each)
         return max(near, key=lambda each: each.depth)
 
-    def refined(self, found: _Sunk) -> _Sunk:
+    def refined(self, found: _Sunk, steps: Sequence[int]) -> _Sunk:
         """With an outline that is moved sector by sector, and the depth of that."""
         sectors = found.opening.sectors(SECTORS)
-        for step in STEPS:
+        for step in steps:
             for sector in range(SECTORS):
                 moved = self.sunk(found.opening.moved(sectors, [sector], step), found.depth)
                 if moved.errors.mean() < found.errors.mean():
                     found = moved
-        return self.best(found.opening, self.depths(found.opening))
+        smooth = found.opening.smoothed(OUTLINE_DETAIL)
+        opening = smooth if smooth.region.any() else found.opening
+        return self.best(opening, self.depths(opening))
 
     def saved(self, found: _Sunk) -> float:
         """Mean squared error that a hollow explains."""

@@ -17,16 +17,32 @@ WALL = 2.0
 IN_FRONT = 4.0
 """Voxels of the search in front of an opening's plane that its columns carve; what is farther ahead stays."""
 
+BESIDE = 3
+"""Voxels of the search around the columns in which the signed distance becomes that of their wall."""
+
+NARROW = 8.0
+"""Width in voxels of the search of the tunnels of a hull that are no wall to a hollow."""
+
 
 def wall_distance(inside: Flags, opening: Opening) -> Array:
     """Distance in voxels from each voxel to the outside, where the opening is closed: what its columns have in front of
-    them counts as inside.
+    them counts as inside, and so does what is `NARROW` in them, because the hull of a hole may be a narrower one.
     """
     closed = inside.copy()
     outside = np.argwhere(~inside)
-    front = opening.contains(outside) & (outside @ opening.normal > opening.level - 2)
-    closed[tuple(outside[front].T)] = True
+    outside = outside[opening.contains(outside)]
+    front = outside @ opening.normal > opening.level - 2
+    narrow = _without_narrow_gaps(inside, NARROW / 2)[tuple(outside.T)]
+    closed[tuple(outside[front | narrow].T)] = True
     return np.asarray(distance_transform_edt(np.pad(closed, 1))[1:-1, 1:-1, 1:-1])
+
+
+def _without_narrow_gaps(inside: Flags, radius: float) -> Flags:
+    """`inside` with gaps narrower than twice the radius closed."""
+    margin = int(radius) + 1
+    dilated = distance_transform_edt(~np.pad(inside, margin)) <= radius
+    closed = distance_transform_edt(dilated) > radius
+    return np.asarray(closed[(slice(margin, -margin),) * 3])
 
 
 def reach(inside: Flags, opening: Opening) -> float:
@@ -44,6 +60,9 @@ def sunk(volume: Volume, search: Volume, opening: Opening, depth: float, wall: A
     near = np.argwhere(volume.values > -2 * volume.spacing)
     place = (volume.origin + near * volume.spacing - search.origin) / search.spacing
     below = opening.level - place @ opening.normal
+    # farther from the columns the signed distance stays as it is: only the sign and the next voxels are used there
+    affected = (below >= -IN_FRONT - BESIDE) & opening.grown(BESIDE).contains(place)
+    near, place, below = near[affected], place[affected], below[affected]
     at_wall = map_coordinates(wall, place.T, order=1, mode="nearest")
     inside = np.minimum(np.minimum(opening.distance(place), depth - below), at_wall - WALL)
     inside = np.where(below < -IN_FRONT, -1.0, inside)

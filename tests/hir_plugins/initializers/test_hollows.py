@@ -84,8 +84,8 @@ def hull_of(capture: Capture) -> Scene:
     return scene
 
 
-def hollowed(capture: Capture, scene: Scene) -> tuple[Scene, list[dict[str, float]]]:
-    initializer = Hollows(HollowsOptions(vertex_colors=False, max_hollows=1))
+def hollowed(capture: Capture, scene: Scene, most: int = 1) -> tuple[Scene, list[dict[str, float]]]:
+    initializer = Hollows(HollowsOptions(vertex_colors=False, max_hollows=most))
     same, found = initializer.initialize(capture, scene, Path("unused"))
     assert same is capture and found is not None
     described = initializer.report()["hollows"]
@@ -117,6 +117,31 @@ def test_a_cup_is_hollow(sectors: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (new.signed_distance(0.36 * ring) > 0).mean() > 0.8, "0.14 inside the wall, in nearly all directions"
     assert (new.signed_distance(0.56 * ring) < 0).mean() > 0.9, "the wall stays"
     assert queries.nearest(scene.mesh.positions.double().numpy())[0].mean() < 0.04
+
+
+@pytest.mark.slow
+def test_a_hole_that_no_outline_shows_is_open() -> None:
+    capture_directions = np.stack([camera.center for camera in dome(24, 1.0, np.zeros(3), 1.0, 8)])
+    along = np.array([[np.cos(2.1), 0.0, np.sin(2.1)]])
+    assert np.abs(capture_directions @ along[0]).max() < np.cos(np.arctan(0.4 / 1.3)), "nobody looks through"
+    tube = trimesh.creation.annulus(0.2, 0.5, 1.3, sections=64)
+    tube.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], along[0]))
+    capture = photographed(tube, painted)
+    hull = hull_of(capture)
+    start = -2.0 * along
+
+    def is_open(scene: Scene) -> bool:
+        queries = MeshQueries(scene.mesh.positions.double().numpy(), scene.mesh.faces.numpy())
+        return not np.isfinite(queries.first_distances(start, along)).any()
+
+    assert not is_open(hull)
+    scene, hollows = hollowed(capture, hull, 4)
+    assert is_open(scene) and len(hollows) >= 1
+    new = MeshQueries(scene.mesh.positions.double().numpy(), scene.mesh.faces.numpy())
+    angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    side = np.stack([-along[0, 2], 0, along[0, 0]])
+    circle = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * [0, 1, 0]
+    assert (new.signed_distance(0.38 * circle) < 0).mean() > 0.9, "the wall stays"
 
 
 @pytest.mark.parametrize("paint", [pytest.param("painted", marks=pytest.mark.slow), "mirror"])
@@ -203,6 +228,51 @@ def test_a_sunk_opening_is_a_well_with_walls() -> None:
     fine = Volume(volume.values.repeat(2, 0).repeat(2, 1).repeat(2, 2), volume.origin - 0.025, 0.05)
     carved = sunk(fine, volume, opening, 8.0, wall)
     assert (carved.values[30, 38:50, 30] < 0).all() and (carved.values[30, 16:32, 30] > 0).all()
+
+
+def opposite(opening: Opening) -> Opening:
+    """The same region on the other side of the box."""
+    return replace(opening, normal=-opening.normal, level=-6.0)
+
+
+def test_hollows_that_meet_are_a_hole() -> None:
+    volume, above = solid(), lid_of_the_box(6)
+    below, closed = opposite(above), volume.values > 0
+    first = sunk(volume, volume, above, 100.0, wall_distance(closed, above))
+    hole = sunk(first, volume, below, 100.0, wall_distance(closed, below))
+    assert (hole.values[15, :, 15] < 0).all() and (hole.values[5:9, 15, 15] > 0).all()
+    membrane = sunk(first, volume, below, 100.0, wall_distance(first.values > 0, below))
+    assert (membrane.values[15, :, 15] > 0).any(), "a wall to the first hollow closes the hole"
+
+
+@pytest.mark.parametrize(("width", "is_wall"), [(4, False), (12, True)])
+def test_a_narrow_tunnel_of_the_hull_is_no_wall(width: int, is_wall: bool) -> None:
+    volume, opening = solid(), lid_of_the_box(9)
+    tunnel = slice(16 - width // 2, 16 + width // 2)
+    values = volume.values.copy()
+    values[tunnel, :, tunnel] = -0.1
+    pierced = replace(volume, values=values)
+    carved = sunk(pierced, pierced, opening, 100.0, wall_distance(values > 0, opening))
+    around = carved.values[16 - width // 2 - 1, 15, 15]
+    assert (around > 0) == is_wall
+
+
+@pytest.mark.parametrize(
+    ("depth", "explained", "from_far", "is_confirmed"),
+    [(9, 0.55, 0.4, True), (9, 0.45, 0.4, False), (4, 0.55, 0.4, False), (4, 0.7, 0.55, True), (4, 0.7, 0.4, False)],
+)
+def test_a_flat_hollow_must_explain_more(depth: float, explained: float, from_far: float, is_confirmed: bool) -> None:
+    wall = np.zeros((1, 1, 1))
+    hollow = search.Hollow(lid_of_the_box(6), depth, wall, 0.1, explained, from_far, 4.0, 16)
+    assert hollow.is_confirmed == is_confirmed
+    assert not replace(hollow, gain=1.0).is_confirmed
+
+
+def test_openings_inside_of_a_rejected_one_are_not_tried_again() -> None:
+    small, large = lid_of_the_box(4), lid_of_the_box(7)
+    assert search._is_part(small, large) and not search._is_part(large, small)
+    assert not search._is_part(opposite(small), large)
+    assert not search._is_part(replace(small, level=small.level - 10), large)
 
 
 @pytest.mark.parametrize("thickness", [0, 1, 2])
