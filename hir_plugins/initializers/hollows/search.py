@@ -34,12 +34,15 @@ DISTANT_DEGREES, THIRD_OF_VARIANCE = 35.0, 1 / 3
 LEAST_DEPTH = 0.45
 """Of a hollow, as a share of its width (the square root of its area): flatter ones must explain `WELL_EXPLAINED`."""
 
-WELL_EXPLAINED = 2 / 3, 1 / 2
-"""Shares of the variance that a flat hollow must explain, by all photographs and by distant ones. A curved surface
-inside a hull is a little like one, too."""
+WELL_EXPLAINED = 2 / 3, 0.6
+"""Shares of the variance that a flat hollow must explain, by all photographs and by distant ones. The curved surface
+of a metal looks a little like one: 0.64 and 0.52 on the tuning half."""
 
 CONFIDENCE = 0.95
 """That a hollow explains more than the surface before it, by Student's t over photographs."""
+
+HALF_OF_REST = 0.5
+"""Share that a hollow must explain of the variance that the surface before it leaves."""
 
 LEAST_VIEWS, LEAST_PIXELS, MOST_PIXELS = 6, 12, 80
 """Photographs that look into an opening; pixels of each."""
@@ -95,13 +98,20 @@ class Hollow:
     @property
     def is_confirmed(self) -> bool:
         """Whether it explains enough, from near and far, is deep enough, and its gain is no noise."""
-        deep = self.depth >= LEAST_DEPTH * float(self.opening.region.sum()) ** 0.5
+        deep = self.depth >= least_depth(self.opening)
         least, least_from_far = (HALF_OF_VARIANCE, THIRD_OF_VARIANCE) if deep else WELL_EXPLAINED
+        rest = 1 - self.explained_before
         return (
             self.explained >= least
             and self.explained_from_far >= least_from_far
+            and self.explained - self.explained_before >= HALF_OF_REST * rest
             and self.gain >= float(stdtrit(self.views - 1, (1 + CONFIDENCE) / 2))
         )
+
+
+def least_depth(opening: Opening) -> float:
+    """Of a hollow that is not flat, in voxels."""
+    return LEAST_DEPTH * float(opening.region.sum()) ** 0.5
 
 
 @dataclass(frozen=True)
@@ -258,10 +268,12 @@ class _Search:
 
     def best(self, opening: Opening, depths: Sequence[float]) -> _Sunk:
         """At the deepest of the depths that explain the photographs as well as the best one: what no photograph sees is
-        hollow down to the wall.
+        hollow down to the wall. Photographs see the floor of a flat hollow, so the best depth is its own.
         """
         tried = [self.sunk(opening, depth) for depth in depths]
         best = min(tried, key=lambda each: each.errors.mean())
+        if best.depth < least_depth(opening):
+            return best
         near = []
         for each in tried:
             worse = each.errors - best.errors

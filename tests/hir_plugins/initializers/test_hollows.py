@@ -259,13 +259,14 @@ def test_a_narrow_tunnel_of_the_hull_is_no_wall(width: int, is_wall: bool) -> No
 
 @pytest.mark.parametrize(
     ("depth", "explained", "from_far", "is_confirmed"),
-    [(9, 0.55, 0.4, True), (9, 0.45, 0.4, False), (4, 0.55, 0.4, False), (4, 0.7, 0.55, True), (4, 0.7, 0.4, False)],
+    [(9, 0.55, 0.4, True), (9, 0.45, 0.4, False), (4, 0.55, 0.4, False), (4, 0.7, 0.65, True), (4, 0.7, 0.5, False)],
 )
 def test_a_flat_hollow_must_explain_more(depth: float, explained: float, from_far: float, is_confirmed: bool) -> None:
     wall = np.zeros((1, 1, 1))
     hollow = search.Hollow(lid_of_the_box(6), depth, wall, 0.1, explained, from_far, 4.0, 16)
     assert hollow.is_confirmed == is_confirmed
     assert not replace(hollow, gain=1.0).is_confirmed
+    assert not replace(hollow, explained_before=0.45).is_confirmed, "the surface before it explains nearly as much"
 
 
 def test_openings_inside_of_a_rejected_one_are_not_tried_again() -> None:
