@@ -179,9 +179,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.runs:
         RESULTS.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(
-            {"runs": [run_figures(run) for run in options.runs]}, indent=1, sort_keys=True, ensure_ascii=False
-        )
+        document = {"commit": source_commit(), "runs": [run_figures(run) for run in options.runs]}
+        text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False)
         (RESULTS / "whole_runs.json").write_text(text + "\n", encoding="utf-8")
     for suite in SUITES:
         if (RESULTS / f"{suite}.json").is_file():
