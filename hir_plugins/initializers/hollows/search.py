@@ -97,7 +97,8 @@ class Hollow:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether it explains enough, from near and far, is deep enough, and its gain is no noise."""
+        """Whether it explains enough, from near and far and of what was left, more so where it is flat, and its gain is
+        no noise."""
         deep = self.depth >= least_depth(self.opening)
         least, least_from_far = (HALF_OF_VARIANCE, THIRD_OF_VARIANCE) if deep else WELL_EXPLAINED
         rest = 1 - self.explained_before

@@ -26,7 +26,7 @@ NARROW = 8.0
 
 def wall_distance(inside: Flags, opening: Opening) -> Array:
     """Distance in voxels from each voxel to the outside, where the opening is closed: what its columns have in front of
-    them counts as inside, and so does what is `NARROW` in them, because the hull of a hole may be a narrower one.
+    them counts as inside, and so do gaps in them that are narrower than `NARROW`: the hull of a hole is a narrower one.
     """
     closed = inside.copy()
     outside = np.argwhere(~inside)
