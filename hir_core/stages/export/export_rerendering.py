@@ -38,7 +38,8 @@ class Rerender:
     `side` is the maximum of the longer image side in pixels, `samples` the number of paths per pixel.
     """
 
-    _is_finer = False
+    _with_fewer_paths: Rerender | None = None
+    """The first comparison, in the second one."""
 
     def __init__(
         self,
@@ -79,7 +80,7 @@ class Rerender:
         finer = copy(self)
         finer.__dict__.pop("_fitted", None)
         finer._sample(RETRY_SAMPLE_FACTOR * self._samples)
-        finer._is_finer = True
+        finer._with_fewer_paths = self
         return finer
 
     def compare(self, written: DecodedAsset, light: AssetEnvironment | None) -> dict[str, Any]:
@@ -96,7 +97,7 @@ class Rerender:
             lit = replace(lit, lamp=fitted.lamp)  # files describe a lamp near the camera and contain none
         whole = replace(self._asset, mesh=written.mesh, material=written.material, environment=lit)
         views = self._views(self._pictures(whole))
-        if _mean(views) < GOOD_PSNR and not self._is_finer:
+        if _mean(views) < GOOD_PSNR and self._with_fewer_paths is None:
             return self._finer.compare(written, light)
         result: dict[str, Any] = {
             "rendered": written.interpretation,
@@ -113,8 +114,17 @@ class Rerender:
             }
             if light is not None and self.light_in_world:
                 parts["the light"] = replace(self._asset, environment=lit)
-            result["costs"] = {name: _mean(self._views(self._pictures(part))) for name, part in parts.items()}
+            result["costs"] = {name: self._cost(part) for name, part in parts.items()}
         return result
+
+    def _cost(self, part: Asset) -> float:
+        """PSNR of the fitted scene with one part of a file. Noise lowers it, so a part that is good with few paths
+        needs no more.
+        """
+        first = self._with_fewer_paths
+        if first is not None and (value := _mean(first._views(first._pictures(part)))) >= GOOD_PSNR:
+            return value
+        return _mean(self._views(self._pictures(part)))
 
     def _pictures(self, asset: Asset) -> dict[str, Image]:
         scene: Scene = move_scene(scene_from_asset(asset), self._working_from_asset).to(self._device)

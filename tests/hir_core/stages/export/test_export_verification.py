@@ -20,10 +20,11 @@ from hir_exporters.textures.image_files import read_hdr, write_hdr
 from pygltflib import GLTF2
 
 from hir_core.cli import main
+from hir_core.metrics import Image
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
 from hir_core.rendering.orbit_cameras import orbit_cameras
-from hir_core.stages.export.export_rerendering import Rerender
+from hir_core.stages.export.export_rerendering import RETRY_SAMPLE_FACTOR, Rerender
 from hir_core.stages.export.export_verification import ExportVerification, verify_export
 
 GREY = {"diffuse_albedo": [0.4, 0.3, 0.2], "specular_albedo": [0.2] * 3, "roughness": 0.2}
@@ -117,6 +118,21 @@ def test_what_is_broken_on_disk_is_named(spoil: object, blamed: str, tmp_path: P
     assert found.report["psnr"]["object"] < 35
     [sentence] = [w for w in found.warnings if "costs most" in w]
     assert f"{blamed} costs most" in sentence
+
+
+def test_parts_that_are_good_with_few_paths_are_not_rendered_with_many(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, samples = Rerender._pictures, []
+
+    def counted(self: Rerender, asset: Asset) -> dict[str, Image]:
+        samples.append(self._samples)
+        return original(self, asset)
+
+    monkeypatch.setattr(Rerender, "_pictures", counted)
+    costs = verified(ball("dielectric"), tmp_path, brighten).report["costs"]
+    assert costs["the material"] < 35 and costs["the mesh"] > 45 and costs["the light"] > 45
+    assert samples.count(16 * RETRY_SAMPLE_FACTOR) == 3, "the fitted scene, the file, its material"
 
 
 def test_a_profile_that_cannot_represent_the_material_is_reported(tmp_path: Path) -> None:
