@@ -25,7 +25,7 @@ from hir_core.plugins.manager import PluginManager
 from hir_plugins.commands.bench.inputs.bench_captures import decode_images, true_mesh
 from hir_plugins.initializers.hollows.hollows import BLUR_VOXELS, SEARCH_VOXELS
 from hir_plugins.initializers.hollows.photo_prediction import blurred_photographs
-from hir_plugins.initializers.hollows.search import find_hollow
+from hir_plugins.initializers.hollows.search import find_hollows
 from hir_plugins.initializers.hollows.sunk_volume import sunk
 from hir_plugins.initializers.hull.visual_hull import hull_volume
 from hir_plugins.initializers.options import HollowsOptions, VisualHullOptions
@@ -45,12 +45,10 @@ def measured(path: Path, seed: int, plugins: PluginManager) -> dict[str, Any]:
     middle[:3, 3] = -points.mean(axis=0)
     photographs = blurred_photographs(capture.transformed(middle), BLUR_VOXELS * volume.spacing)
     volume = replace(volume, origin=volume.origin + middle[:3, 3])
-    began, hollows, closed = time.process_time(), [], volume.values > 0
-    while len(hollows) < HollowsOptions.max_hollows:
-        hollow = find_hollow(volume, photographs, seed, closed)
-        if hollow is None:
-            break
-        hollows.append({"depth": hollow.depth, "explained": hollow.explained, "from_far": hollow.explained_from_far})
+    began = time.process_time()
+    found = find_hollows(volume, photographs, seed, HollowsOptions.max_hollows)
+    seconds = time.process_time() - began
+    for hollow in found:
         volume = sunk(volume, volume, hollow.opening, hollow.depth, hollow.wall)
     removed = volume.values[tuple(inside.T)] <= 0
     empty, solid = outward > 1, outward < -1
@@ -58,11 +56,11 @@ def measured(path: Path, seed: int, plugins: PluginManager) -> dict[str, Any]:
         "capture": path.name,
         "half": path.parent.name,
         "seed": seed,
-        "hollows": hollows,
+        "hollows": [{"depth": h.depth, "explained": h.explained, "from_far": h.explained_from_far} for h in found],
         "empty_voxels": int(empty.sum()),
         "found": round(float(removed[empty].mean()), 4) if empty.any() else None,
         "wrong": round(float(removed[solid].mean()), 4),
-        "cpu_seconds": round(time.process_time() - began, 1),
+        "cpu_seconds": round(seconds, 1),
         **provenance(),
     }
 

@@ -1,7 +1,7 @@
 """Composes a picture of meshes: `python tools/make_mesh_picture.py CAPTURE OUT --mesh LABEL FILE … [--views 0 1]`.
 
-A row a view: the photograph, then each mesh in that view, lit from the camera. CAPTURE has transforms_train.json or
-another file that `hir` reads; each FILE is a mesh in the capture's axes.
+A row a view: the photograph, then each mesh in that view, lit by a lamp beside the camera. CAPTURE has
+transforms_train.json or another file that `hir` reads; each FILE is a mesh in the capture's axes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hir_core.plugins.manager import PluginManager
 SIDE, TITLE = 260, 26
 PAPER, INK = (246, 245, 242), (70, 78, 96)
 LAMP = np.array([0.45, -0.45, -0.77])
-"""Direction of the lamp in the camera's axes (x right, y down, z forward)."""
+"""Direction towards the lamp in the camera's axes (x right, y down, z forward)."""
 
 
 def lit(mesh: trimesh.Trimesh, camera: Camera) -> NDArray[np.uint8]:

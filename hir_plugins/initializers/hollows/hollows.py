@@ -14,7 +14,7 @@ from hir_core.errors import StageError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_plugins.initializers.hollows.photo_prediction import blurred_photographs
-from hir_plugins.initializers.hollows.search import Hollow, find_hollow
+from hir_plugins.initializers.hollows.search import Hollow, find_hollows
 from hir_plugins.initializers.hollows.sunk_volume import sunk
 from hir_plugins.initializers.options import HollowsOptions
 from hir_plugins.initializers.stereo.stereo_photographs import evenly_distributed_views
@@ -22,7 +22,6 @@ from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length, pixel_size
 from hir_plugins.initializers.surface.swept_surface import SweptSurface, signed_distance_volume
-from hir_plugins.initializers.surface.volume import Volume
 
 SEARCH_VOXELS = 64
 """Along the longest side of the object, where openings are looked for."""
@@ -65,23 +64,16 @@ class Hollows(Initializer):
         moved = replace(moved, views=tuple(moved.views[i] for i in used))
         surface = SweptSurface(vertices, faces)
         search = signed_distance_volume(surface, vertices, 1 / SEARCH_VOXELS)
-        closed = search.values > 0
         photographs = blurred_photographs(moved, BLUR_VOXELS * search.spacing)
-        found: list[tuple[Volume, Hollow]] = []
-        while len(found) < self._config.max_hollows:
-            hollow = find_hollow(search, photographs, self._config.seed, closed)
-            if hollow is None:
-                break
-            found.append((search, hollow))
-            search = sunk(search, search, hollow.opening, hollow.depth, hollow.wall)
-        self._report = {"hollows": [_described(hollow, volume, extent) for volume, hollow in found]}
+        found = find_hollows(search, photographs, self._config.seed, self._config.max_hollows)
+        self._report = {"hollows": [_described(hollow, search.spacing * extent) for hollow in found]}
         if not found:
             return capture, scene
         pixel = pixel_size(moved.cameras, np.zeros(3))
         spacing = max(self._config.pixels_per_voxel * pixel, 1 / self._config.max_resolution)
         volume = signed_distance_volume(surface, vertices, spacing)
-        for coarse, hollow in found:
-            volume = sunk(volume, coarse, hollow.opening, hollow.depth, hollow.wall)
+        for hollow in found:
+            volume = sunk(volume, search, hollow.opening, hollow.depth, hollow.wall)
         carved, triangles = keep_large_components(*extract_surface(volume), min_share=_MIN_COMPONENT)
         world: Array = carved * extent + middle
         edge = edge_length(capture, world, self._config.edge_pixels, spacing * extent)
@@ -93,9 +85,9 @@ class Hollows(Initializer):
         return self._report
 
 
-def _described(hollow: Hollow, volume: Volume, extent: float) -> dict[str, object]:
+def _described(hollow: Hollow, voxel: float) -> dict[str, object]:
     return {
-        "depth": round(hollow.depth * volume.spacing * extent, 5),
+        "depth": round(hollow.depth * voxel, 5),
         "explained_before": round(hollow.explained_before, 4),
         "explained": round(hollow.explained, 4),
         "explained_from_far": round(hollow.explained_from_far, 4),

@@ -11,14 +11,14 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import stdtrit
 
 from hir_core.mesh.ray_casting import MeshQueries
-from hir_plugins.initializers.hollows.openings import Flags, Opening, find_openings, surface_cells
+from hir_plugins.initializers.hollows.openings import Opening, find_openings, surface_cells
 from hir_plugins.initializers.hollows.photo_prediction import (
     BlurredPhotograph,
     Pixels,
     color_variance,
     prediction_errors,
 )
-from hir_plugins.initializers.hollows.sunk_volume import reach, sunk, wall_distance
+from hir_plugins.initializers.hollows.sunk_volume import Solid, reach, sunk, wall_distance
 from hir_plugins.initializers.surface.isosurface import extract_surface
 from hir_plugins.initializers.surface.volume import Volume
 
@@ -54,8 +54,7 @@ CANDIDATES, DEPTHS = 12, 9
 """Openings that are tried, and depths of each."""
 
 SAME_PLANE, SAME_LEVEL, COVERED = 0.9, 4.0, 0.7
-"""Cosine between normals, voxels between planes and share of the cells, from which an opening is part of another one.
-"""
+"""Cosine between normals, voxels between planes and share of the cells, from which two openings are nearly the same."""
 
 WINDOW_MARGIN = 3
 """Voxels around an opening whose pixels are looked at, too."""
@@ -145,23 +144,43 @@ class _Window:
         return np.array(means)
 
 
-def find_hollow(
-    volume: Volume, photographs: Sequence[BlurredPhotograph], seed: int, closed: Flags | None = None
-) -> Hollow | None:
-    """The hollow that explains most; None where no candidate explains enough, or the object is thinner than a voxel.
+def find_hollows(volume: Volume, photographs: Sequence[BlurredPhotograph], seed: int, most: int) -> list[Hollow]:
+    """At most `most` hollows, each of the volume with those before it.
 
-    `closed` (X, Y, Z): inside of the surface before its first hollow. The walls of a hollow are measured in it, so two
+    None of an object that is thinner than a voxel. Walls are measured in the volume before the first hollow, so two
     hollows that meet are a hole.
     """
     if not (volume.values > 0).any():
-        return None
-    closed = volume.values > 0 if closed is None else closed
+        return []
+    solid = Solid.of(volume.values > 0)
+    found: list[Hollow] = []
+    while len(found) < most:
+        hollow = _find_hollow(volume, solid, photographs, seed)
+        if hollow is None:
+            break
+        found.append(hollow)
+        volume = sunk(volume, volume, hollow.opening, hollow.depth, hollow.wall)
+    return found
+
+
+def _find_hollow(volume: Volume, solid: Solid, photographs: Sequence[BlurredPhotograph], seed: int) -> Hollow | None:
+    """The hollow that explains most; None where no candidate explains enough."""
     surface = smooth_surface(volume)
     cells = surface_cells(volume.values > 0)
     variance, count = color_variance(volume.origin + cells * volume.spacing, surface, photographs, 1.8 * volume.spacing)
+
+    def search_of(opening: Opening) -> _Search | None:
+        """None where too few photographs look in."""
+        window = _window(volume, opening.grown(WINDOW_MARGIN), photographs, seed)
+        if window is None:
+            return None
+        before = window.errors(surface, photographs, LIFT * volume.spacing)
+        wall = wall_distance(solid, opening.grown(max(FIRST_STEPS)))
+        return _Search(volume, photographs, window, before, wall)
+
     searches = []
     for opening in find_openings(volume, cells, variance, count >= 4)[:CANDIDATES]:
-        search = _search(volume, closed, surface, opening, photographs, seed)
+        search = search_of(opening)
         if search is not None:
             sunk_once = search.best(opening, search.depths(opening)[-1::-2])
             searches.append((search.saved(sunk_once) * int(opening.region.sum()), search, sunk_once))
@@ -169,11 +188,11 @@ def find_hollow(
     for saved, search, sunk_once in sorted(searches, key=lambda each: -each[0]):
         if saved <= 0 or search.explained(sunk_once) < PROMISING:
             continue
-        if any(_is_part(sunk_once.opening, other) for other in rejected):
+        if any(_is_nearly(sunk_once.opening, other) for other in rejected):
             continue
         found = search.refined(sunk_once, FIRST_STEPS)
         # the window of a first outline that was too small does not show how much larger it is
-        wider = _search(volume, closed, surface, found.opening, photographs, seed)
+        wider = search_of(found.opening)
         if wider is not None:
             search, found = wider, wider.refined(wider.sunk(found.opening, found.depth), STEPS)
         hollow = search.hollow(found)
@@ -183,29 +202,13 @@ def find_hollow(
     return None
 
 
-def _is_part(opening: Opening, other: Opening) -> bool:
-    """Whether an opening lies in the plane of another one and mostly in its region."""
-    if opening.normal @ other.normal < SAME_PLANE:
+def _is_nearly(opening: Opening, other: Opening) -> bool:
+    """Whether an opening lies in the plane of another one and has nearly its region, as a hole in a face has not."""
+    if opening.normal @ other.normal < SAME_PLANE or opening.region.sum() < COVERED * other.region.sum():
         return False
     centers = opening.cell_centers()
     near = np.abs(centers @ other.normal - other.level) <= SAME_LEVEL
     return float((near & other.contains(centers)).mean()) >= COVERED
-
-
-def _search(
-    volume: Volume,
-    closed: Flags,
-    surface: MeshQueries,
-    opening: Opening,
-    photographs: Sequence[BlurredPhotograph],
-    seed: int,
-) -> _Search | None:
-    """None where too few photographs look in. `surface` is that of the volume."""
-    window = _window(volume, opening.grown(WINDOW_MARGIN), photographs, seed)
-    if window is None:
-        return None
-    wall = wall_distance(closed, opening.grown(max(FIRST_STEPS)))
-    return _Search(volume, photographs, window, window.errors(surface, photographs, LIFT * volume.spacing), wall)
 
 
 def smooth_surface(volume: Volume) -> MeshQueries:

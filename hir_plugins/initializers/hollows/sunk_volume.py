@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
@@ -21,28 +21,38 @@ BESIDE = 3
 """Voxels of the search around the columns in which the signed distance becomes that of their wall."""
 
 NARROW = 8.0
-"""Width in voxels of the search of the tunnels of a hull that are no wall to a hollow."""
+"""Width in voxels of the search of gaps in a hull from which the wall of a hollow keeps no distance."""
 
 
-def wall_distance(inside: Flags, opening: Opening) -> Array:
+@dataclass(frozen=True)
+class Solid:
+    """A volume before its first hollow."""
+
+    inside: Flags
+    """(X, Y, Z)."""
+    without_gaps: Flags
+    """(X, Y, Z): with gaps narrower than `NARROW` filled. The hull of a hole is a narrower hole."""
+
+    @classmethod
+    def of(cls, inside: Flags) -> Solid:
+        """Fills the gaps by a dilation and an erosion."""
+        radius = NARROW / 2
+        margin = int(radius) + 1
+        dilated = distance_transform_edt(~np.pad(inside, margin)) <= radius
+        closed = distance_transform_edt(dilated) > radius
+        return cls(inside, np.asarray(closed[(slice(margin, -margin),) * 3]))
+
+
+def wall_distance(solid: Solid, opening: Opening) -> Array:
     """Distance in voxels from each voxel to the outside, where the opening is closed: what its columns have in front of
-    them counts as inside, and so do gaps in them that are narrower than `NARROW`: the hull of a hole is a narrower one.
+    them counts as inside, and so do narrow gaps in them.
     """
-    closed = inside.copy()
-    outside = np.argwhere(~inside)
+    closed = solid.inside.copy()
+    outside = np.argwhere(~closed)
     outside = outside[opening.contains(outside)]
     front = outside @ opening.normal > opening.level - 2
-    narrow = _without_narrow_gaps(inside, NARROW / 2)[tuple(outside.T)]
-    closed[tuple(outside[front | narrow].T)] = True
+    closed[tuple(outside[front | solid.without_gaps[tuple(outside.T)]].T)] = True
     return np.asarray(distance_transform_edt(np.pad(closed, 1))[1:-1, 1:-1, 1:-1])
-
-
-def _without_narrow_gaps(inside: Flags, radius: float) -> Flags:
-    """`inside` with gaps narrower than twice the radius closed."""
-    margin = int(radius) + 1
-    dilated = distance_transform_edt(~np.pad(inside, margin)) <= radius
-    closed = distance_transform_edt(dilated) > radius
-    return np.asarray(closed[(slice(margin, -margin),) * 3])
 
 
 def reach(inside: Flags, opening: Opening) -> float:

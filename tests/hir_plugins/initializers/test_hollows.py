@@ -23,8 +23,8 @@ from hir_plugins.initializers.hollows.photo_prediction import (
     color_variance,
     prediction_errors,
 )
-from hir_plugins.initializers.hollows.search import find_hollow
-from hir_plugins.initializers.hollows.sunk_volume import WALL, reach, sunk, wall_distance
+from hir_plugins.initializers.hollows.search import find_hollows
+from hir_plugins.initializers.hollows.sunk_volume import WALL, Solid, reach, sunk, wall_distance
 from hir_plugins.initializers.hull.visual_hull import VisualHull
 from hir_plugins.initializers.options import HollowsOptions, VisualHullOptions
 from hir_plugins.initializers.surface.volume import Volume
@@ -216,7 +216,7 @@ def lid_of_the_box(half: int) -> Opening:
 
 def test_a_sunk_opening_is_a_well_with_walls() -> None:
     volume, opening = solid(), lid_of_the_box(6)
-    wall = wall_distance(volume.values > 0, opening)
+    wall = wall_distance(Solid.of(volume.values > 0), opening)
     assert reach(volume.values > 0, opening) == 19
     shallow, deep = (sunk(volume, volume, opening, depth, wall) for depth in (8.0, 100.0))
     assert (shallow.values <= volume.values).all() and (deep.values <= shallow.values).all()
@@ -237,11 +237,11 @@ def opposite(opening: Opening) -> Opening:
 
 def test_hollows_that_meet_are_a_hole() -> None:
     volume, above = solid(), lid_of_the_box(6)
-    below, closed = opposite(above), volume.values > 0
+    below, closed = opposite(above), Solid.of(volume.values > 0)
     first = sunk(volume, volume, above, 100.0, wall_distance(closed, above))
     hole = sunk(first, volume, below, 100.0, wall_distance(closed, below))
     assert (hole.values[15, :, 15] < 0).all() and (hole.values[5:9, 15, 15] > 0).all()
-    membrane = sunk(first, volume, below, 100.0, wall_distance(first.values > 0, below))
+    membrane = sunk(first, volume, below, 100.0, wall_distance(Solid.of(first.values > 0), below))
     assert (membrane.values[15, :, 15] > 0).any(), "a wall to the first hollow closes the hole"
 
 
@@ -252,7 +252,7 @@ def test_a_narrow_tunnel_of_the_hull_is_no_wall(width: int, is_wall: bool) -> No
     values = volume.values.copy()
     values[tunnel, :, tunnel] = -0.1
     pierced = replace(volume, values=values)
-    carved = sunk(pierced, pierced, opening, 100.0, wall_distance(values > 0, opening))
+    carved = sunk(pierced, pierced, opening, 100.0, wall_distance(Solid.of(values > 0), opening))
     around = carved.values[16 - width // 2 - 1, 15, 15]
     assert (around > 0) == is_wall
 
@@ -269,11 +269,12 @@ def test_a_flat_hollow_must_explain_more(depth: float, explained: float, from_fa
     assert not replace(hollow, explained_before=0.45).is_confirmed, "the surface before it explains nearly as much"
 
 
-def test_openings_inside_of_a_rejected_one_are_not_tried_again() -> None:
-    small, large = lid_of_the_box(4), lid_of_the_box(7)
-    assert search._is_part(small, large) and not search._is_part(large, small)
-    assert not search._is_part(opposite(small), large)
-    assert not search._is_part(replace(small, level=small.level - 10), large)
+def test_an_opening_like_a_rejected_one_is_not_tried_again_and_a_hole_in_it_is() -> None:
+    opening, rejected = lid_of_the_box(6), lid_of_the_box(7)
+    assert search._is_nearly(opening, rejected) and search._is_nearly(rejected, opening)
+    assert not search._is_nearly(lid_of_the_box(3), rejected)
+    assert not search._is_nearly(opposite(opening), rejected)
+    assert not search._is_nearly(replace(opening, level=opening.level - 10), rejected)
 
 
 @pytest.mark.parametrize("thickness", [0, 1, 2])
@@ -281,7 +282,7 @@ def test_what_is_thin_has_no_hollow(thickness: int) -> None:
     values = np.full((32, 32, 32), -0.3, np.float32)
     values[4:28, 15 : 15 + thickness, 4:28] = 0.02
     photographs = blurred_photographs(photographed(block(), painted, count=8), 0.02)
-    assert find_hollow(Volume(values, np.full(3, -1.55), 0.1), photographs, 0) is None
+    assert find_hollows(Volume(values, np.full(3, -1.55), 0.1), photographs, 0, 1) == []
 
 
 def test_outlines_move_sector_by_sector() -> None:
