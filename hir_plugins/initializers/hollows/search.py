@@ -98,7 +98,7 @@ class Hollow:
     def is_confirmed(self) -> bool:
         """Whether it explains enough, from near and far and of what was left, more so where it is flat, and its gain is
         no noise."""
-        deep = self.depth >= least_depth(self.opening)
+        deep = self.depth >= LEAST_DEPTH * float(self.opening.region.sum()) ** 0.5
         least, least_from_far = (HALF_OF_VARIANCE, THIRD_OF_VARIANCE) if deep else WELL_EXPLAINED
         rest = 1 - self.explained_before
         return (
@@ -107,11 +107,6 @@ class Hollow:
             and self.explained - self.explained_before >= HALF_OF_REST * rest
             and self.gain >= float(stdtrit(self.views - 1, (1 + CONFIDENCE) / 2))
         )
-
-
-def least_depth(opening: Opening) -> float:
-    """Of a hollow that is not flat, in voxels."""
-    return LEAST_DEPTH * float(opening.region.sum()) ** 0.5
 
 
 @dataclass(frozen=True)
@@ -182,7 +177,7 @@ def _find_hollow(volume: Volume, solid: Solid, photographs: Sequence[BlurredPhot
     for opening in find_openings(volume, cells, variance, count >= 4)[:CANDIDATES]:
         search = search_of(opening)
         if search is not None:
-            sunk_once = search.deepest(search.at_depths(opening, search.depths(opening)[-1::-2]))
+            sunk_once = search.best(opening, search.depths(opening)[-1::-2])
             searches.append((search.saved(sunk_once) * int(opening.region.sum()), search, sunk_once))
     rejected: list[Opening] = []
     for saved, search, sunk_once in sorted(searches, key=lambda each: -each[0]):
@@ -190,13 +185,12 @@ def _find_hollow(volume: Volume, solid: Solid, photographs: Sequence[BlurredPhot
             continue
         if any(_is_nearly(sunk_once.opening, other) for other in rejected):
             continue
-        tried = search.refined(sunk_once, FIRST_STEPS)
+        found = search.refined(sunk_once, FIRST_STEPS)
         # the window of a first outline that was too small does not show how much larger it is
-        found = search.deepest(tried)
         wider = search_of(found.opening)
         if wider is not None:
-            search, tried = wider, wider.refined(wider.sunk(found.opening, found.depth), STEPS)
-        hollow = search.hollow(search.selected(tried))
+            search, found = wider, wider.refined(wider.sunk(found.opening, found.depth), STEPS)
+        hollow = search.hollow(found)
         if hollow.is_confirmed:
             return hollow
         rejected.append(hollow.opening)
@@ -249,10 +243,6 @@ class _Sunk:
     errors: Floats
 
 
-def _best(tried: Sequence[_Sunk]) -> _Sunk:
-    return min(tried, key=lambda each: each.errors.mean())
-
-
 @dataclass(frozen=True)
 class _Search:
     """Depths and outlines of one opening."""
@@ -275,14 +265,12 @@ class _Search:
         errors = self.window.errors(surface, self.photographs, LIFT * self.volume.spacing, least_degrees)
         return _Sunk(opening, depth, errors)
 
-    def at_depths(self, opening: Opening, depths: Sequence[float]) -> list[_Sunk]:
-        return [self.sunk(opening, depth) for depth in depths]
-
-    def deepest(self, tried: Sequence[_Sunk]) -> _Sunk:
-        """The deepest one that explains the photographs as well as the best one: what no photograph sees is hollow down
-        to the wall.
+    def best(self, opening: Opening, depths: Sequence[float]) -> _Sunk:
+        """At the deepest of the depths that explain the photographs as well as the best one: what no photograph sees is
+        hollow down to the wall.
         """
-        best = _best(tried)
+        tried = [self.sunk(opening, depth) for depth in depths]
+        best = min(tried, key=lambda each: each.errors.mean())
         near = []
         for each in tried:
             worse = each.errors - best.errors
@@ -291,13 +279,8 @@ class _Search:
                 near.append(each)
         return max(near, key=lambda each: each.depth)
 
-    def selected(self, tried: Sequence[_Sunk]) -> _Sunk:
-        """The best one where it is flat, because photographs see its floor; else the deepest one that is as good."""
-        best = _best(tried)
-        return best if best.depth < least_depth(best.opening) else self.deepest(tried)
-
-    def refined(self, found: _Sunk, steps: Sequence[int]) -> list[_Sunk]:
-        """With an outline that is moved sector by sector, at all depths."""
+    def refined(self, found: _Sunk, steps: Sequence[int]) -> _Sunk:
+        """With an outline that is moved sector by sector, and the depth of that."""
         sectors = found.opening.sectors(SECTORS)
         for step in steps:
             for sector in range(SECTORS):
@@ -306,7 +289,7 @@ class _Search:
                     found = moved
         smooth = found.opening.smoothed(OUTLINE_DETAIL)
         opening = smooth if smooth.region.any() else found.opening
-        return self.at_depths(opening, self.depths(opening))
+        return self.best(opening, self.depths(opening))
 
     def saved(self, found: _Sunk) -> float:
         """Mean squared error that a hollow explains."""
