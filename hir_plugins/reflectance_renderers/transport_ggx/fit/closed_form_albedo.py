@@ -24,9 +24,11 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import
 AlbedoRefiner: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """(albedo in closed form (N, 3), curvature (N, 3) of the mean error of the pixels there) → refined albedo."""
 
-Differences: TypeAlias = Callable[[Tensor], Callable[[Tensor, Tensor], None]]
-"""Weights (N, 3) of the albedos → a function of (x, image), both (N, 3), that adds the gradient of half the weighted
-squared differences of x to `image` in place."""
+NormalProduct: TypeAlias = Callable[[Tensor, Tensor], None]
+"""(x, image), both (N, 3): adds the product of a symmetric matrix with x to `image`, in place."""
+
+Differences: TypeAlias = Callable[[Tensor], NormalProduct]
+"""Weights (N, 3) of the albedos → the function that adds the gradient of half the weighted squared differences of x."""
 
 _REWEIGHTING_ITERATIONS = 3
 _CONJUGATE_GRADIENT_ITERATIONS = 12
@@ -75,6 +77,18 @@ class AlbedoEquations:
         diffuse, specular = weight * self.gain * rows, weight * self.metal.gain * rows
         return (1 - m) * (self.lookup.transposed @ diffuse) + m * (self.lookup.transposed @ specular)
 
+    def normal_product(self, weight: Float[Tensor, "P 3"]) -> NormalProduct:
+        """Of the transpose, `weight` and the left side."""
+        squares = weight * self.gain * self.gain
+
+        def add(x: Tensor, image: Tensor) -> None:
+            torch.addmm(image, self.lookup.transposed, (self.lookup.matrix @ x).mul_(squares), out=image)
+
+        def add_with_metal(x: Tensor, image: Tensor) -> None:
+            image.add_(self.transposed(weight, self.radiance(x)))
+
+        return add if self.metal is None else add_with_metal
+
     def squared_gains(self, weight: Float[Tensor, "P 3"]) -> Float[Tensor, "N 3"]:
         """For each albedo: the weighted sum of the squared gains of its pixels."""
         squares = self.lookup.transposed @ (weight * self.gain * self.gain)
@@ -112,12 +126,14 @@ def solve_albedo(
             diagonal += rows.squared_gains(w)
             right += rows.transposed(w, rows.target)
 
-        def apply(x: Tensor, image: Tensor, robust: list[Tensor] = robust) -> None:
+        products = [rows.normal_product(w) for w, rows in zip(robust, equations, strict=True)]
+        if add_differences is not None:
+            products.append(add_differences)
+
+        def apply(x: Tensor, image: Tensor, products: list[NormalProduct] = products) -> None:
             torch.mul(prior_weight, x, out=image)
-            for w, rows in zip(robust, equations, strict=True):
-                _add_normal_product(rows, w, x, image)
-            if add_differences is not None:
-                add_differences(x, image)
+            for add_product in products:
+                add_product(x, image)
 
         preconditioner = (diagonal + prior_weight).reciprocal_()
         albedo = _conjugate_gradients(apply, right.addcmul_(prior_weight, start), albedo, preconditioner)
@@ -144,17 +160,6 @@ def _prior_scale(
     mean = importance[known].sum(0) / count[known].sum(0)
     each = torch.where(known[:, None], importance / count.clamp_min(0.5), mean)
     return count[:, 0], (light[known].mean(dim=0) * each).clamp_min(1e-12)
-
-
-def _add_normal_product(
-    rows: AlbedoEquations, weight: Tensor, x: Float[Tensor, "N 3"], image: Float[Tensor, "N 3"]
-) -> None:
-    """Adds the product with the transpose of the rows times the rows to `image`, in place."""
-    if rows.metal is None:
-        seen = weight * rows.gain * rows.gain * (rows.lookup.matrix @ x)
-        torch.addmm(image, rows.lookup.transposed, seen, out=image)
-    else:
-        image.add_(rows.transposed(weight, rows.radiance(x)))
 
 
 def _robust_weight(rows: AlbedoEquations, albedo: Tensor, huber_srgb: float) -> Float[Tensor, "P 3"]:

@@ -75,22 +75,7 @@ def solve_texels(
     the mean weight of a texel's pixels.
     """
     height, width, _ = start.shape
-    lookup = LinearMap.from_rows(
-        torch.cat([e.index for e in equations]), torch.cat([e.weight for e in equations]), height * width
-    )
-    metal = None
-    if metalness is not None:
-        gains = [e.metal_gain for e in equations if e.metal_gain is not None]
-        assert len(gains) == len(equations), "equations of a metallic material have a metal gain"
-        metal = MetalTerm(torch.cat(gains), metalness.reshape(-1, 1))
-    rows = AlbedoEquations(
-        lookup,
-        torch.cat([e.gain for e in equations]),
-        torch.cat([e.color - e.offset for e in equations]),
-        torch.cat([e.importance for e in equations]),
-        torch.cat([e.clipped for e in equations]),
-        metal,
-    )
+    rows = _in_order_of_texels(equations, height * width, metalness)
 
     def differences(weight: Tensor) -> Callable[[Tensor, Tensor], None]:
         return _neighbour_differences(weight.reshape(height, width, 3))
@@ -101,6 +86,33 @@ def solve_texels(
     # a texel at the edge of a photograph or in the dark remains at its prior: it was not observed
     observed = (count > MIN_PIXELS) & (information > MIN_INFORMATION)
     return texture.reshape(height, width, 3), observed.reshape(height, width)
+
+
+def _in_order_of_texels(
+    equations: list[TexelEquations], texels: int, metalness: Float[Tensor, "H W 1"] | None
+) -> AlbedoEquations:
+    """All rows as one system. Rows that see the same texels lie together in memory: a solution takes 2.6 times less
+    time than in the order of the photographs (docs/studies/closed_form_albedo.md).
+    """
+    index = torch.cat([e.index for e in equations])
+    order = index[:, 0].argsort()
+
+    def joined(parts: list[Tensor]) -> Tensor:
+        return torch.cat(parts).index_select(0, order)  # three times faster than indexing
+
+    metal = None
+    if metalness is not None:
+        gains = [e.metal_gain for e in equations if e.metal_gain is not None]
+        assert len(gains) == len(equations), "equations of a metallic material have a metal gain"
+        metal = MetalTerm(joined(gains), metalness.reshape(-1, 1))
+    return AlbedoEquations(
+        LinearMap.from_rows(index.index_select(0, order), joined([e.weight for e in equations]), texels),
+        joined([e.gain for e in equations]),
+        joined([e.color - e.offset for e in equations]),
+        joined([e.importance for e in equations]),
+        joined([e.clipped for e in equations]),
+        metal,
+    )
 
 
 def _neighbour_differences(weight: Float[Tensor, "H W C"]) -> Callable[[Tensor, Tensor], None]:
