@@ -33,7 +33,17 @@ class MeshQueries:
 
     def first_faces(self, origins: Vectors, directions: Vectors) -> NDArray[np.int64]:
         """The face that each ray (N, 3), (N, 3) hits first; −1 for a miss."""
-        return self.first_hits(origins, directions)[0]
+        return self.first_faces_and_distances(origins, directions)[0]
+
+    def first_faces_and_distances(
+        self, origins: Vectors, directions: Vectors
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """The face that each ray (N, 3), (N, 3) hits first, −1 for a miss, and how far it is in lengths of the ray's
+        direction, infinite for a miss.
+        """
+        hits = self._scene.cast_rays(self._rays(origins, directions))
+        face = hits["primitive_ids"].numpy().astype(np.int64)
+        return np.where(face < self._faces, face, -1), hits["t_hit"].numpy()
 
     def first_hits(self, origins: Vectors, directions: Vectors) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """The face that each ray (N, 3), (N, 3) hits first, −1 for a miss, and the barycentric weights (N, 3)."""

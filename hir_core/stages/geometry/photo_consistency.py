@@ -83,16 +83,19 @@ def sample_pairs(
 
 
 def photo_consistency_residuals(
-    mesh: Mesh, details: DetailImages, pairs: PixelPairs
+    mesh: Mesh, details: DetailImages, pairs: PixelPairs, tracer: MeshQueries | None = None
 ) -> tuple[Float[Tensor, "Q 3"], NDArray[np.int64]]:
     """Detail in the other view minus detail at the pixel, for the pairs of which both views see the surface, and the
     rows of these pairs in `pairs`. Differentiable in the positions: a point slides along its pixel's ray as its facet
     moves.
+
+    `tracer` decides which facet a pixel shows and which view is hidden; by default that of `mesh`. One of slightly
+    other positions will do: points are where the rays meet the present planes of these facets.
     """
     positions = mesh.positions
-    tracer = MeshQueries(positions.detach().cpu().numpy(), mesh.faces.cpu().numpy())
+    tracer = tracer or ray_structure(mesh)
     origins, directions = _rays(details.cameras, pairs)
-    face = tracer.first_faces(origins, directions)
+    face, distance = tracer.first_faces_and_distances(origins, directions)
     rows = np.flatnonzero(face >= 0)
     device = positions.device
     origin, direction = (torch.from_numpy(a[rows]).to(positions) for a in (origins, directions))
@@ -105,7 +108,9 @@ def photo_consistency_residuals(
         centers = np.stack([camera.center for camera in details.cameras]).astype(np.float32)
         to_other = normalize(torch.from_numpy(centers[pairs.other[rows]]).to(positions) - points, dim=1, eps=1e-30)
         seen = facing & ((normal * to_other).sum(1) > LEAST_COSINE) & torch.isfinite(points).all(dim=1)
-        start = torch.where(seen[:, None], points + SHADOW_RAY_OFFSET * normal, 0.0).cpu().numpy()
+        # from the surface of the tracer: the present one may lie behind it
+        hit = origin + torch.from_numpy(distance[rows, None]).to(positions) * direction
+        start = torch.where(seen[:, None], hit + SHADOW_RAY_OFFSET * normal, 0.0).cpu().numpy()
         seen &= ~torch.from_numpy(tracer.occluded(start, to_other.cpu().numpy())).to(device)
     points, rows = points[seen], rows[seen.cpu().numpy()]
     pixels = _project(details.cameras, points, pairs.other[rows])
@@ -114,6 +119,11 @@ def photo_consistency_residuals(
     x, y = pairs.pixel[rows].T
     own = details.images[torch.from_numpy(pairs.view[rows]), :, torch.from_numpy(y), torch.from_numpy(x)]
     return detail - own.to(detail), rows
+
+
+def ray_structure(mesh: Mesh) -> MeshQueries:
+    """The acceleration structure of a mesh."""
+    return MeshQueries(mesh.positions.detach().cpu().numpy(), mesh.faces.cpu().numpy())
 
 
 def _rays(cameras: Sequence[Camera], pairs: PixelPairs) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

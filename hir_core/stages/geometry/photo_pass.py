@@ -20,7 +20,7 @@ from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
 from hir_core.stages.geometry.detail_images import DetailImages
-from hir_core.stages.geometry.photo_consistency import photo_consistency_residuals, sample_pairs
+from hir_core.stages.geometry.photo_consistency import photo_consistency_residuals, ray_structure, sample_pairs
 from hir_core.stages.geometry.photo_evaluation import huber
 
 PIXELS_PER_VIEW = 4000
@@ -41,6 +41,10 @@ its coarseness."""
 
 FINAL_LEARNING_RATE = 0.05
 """Factor of the learning rate at the end of a pass."""
+
+STEPS_PER_RAY_STRUCTURE = 4
+"""The acceleration structure of the mesh is built once for this many steps, in which vertices move by a fraction of a
+facet; it takes a quarter of a step (docs/studies/photo_consistency.md)."""
 
 LAST_PASS_SHARE = 0.5
 """Steps of the pass with all views, as a share of another pass: it starts from a mesh that most of them have fitted."""
@@ -104,13 +108,18 @@ def fit_pass(
     silhouette_batches = Batches(len(train), max(1, settings.views_per_step // 2), seed + 1)
     checkpoint = context.checkpoints / f"photo_consistency_{plan.number}_{plan.downsample}_{plan.smoothness:g}.npz"
 
+    built_at, tracer = -1, ray_structure(mesh)
+
     def photo_error(moved: Mesh, views: list[int], step: int) -> Tensor:
         pairs = sample_pairs(details, neighbours, views, PIXELS_PER_VIEW, np.random.default_rng((seed, step)))
-        residuals, _ = photo_consistency_residuals(moved, details, pairs)
+        residuals, _ = photo_consistency_residuals(moved, details, pairs, tracer)
         return huber(residuals).mean() if len(residuals) else 0.0 * moved.positions.sum()
 
     def loss(step: int) -> Terms:
+        nonlocal built_at, tracer
         current = mesh.with_positions(large.decode(parameter))
+        if step % STEPS_PER_RAY_STRUCTURE == 0 and step != built_at:
+            built_at, tracer = step, ray_structure(current)
         error = photo_error(current, [train[i] for i in photo_batches(step)], step)
         silhouettes = iou(current, [train[i] for i in silhouette_batches(step)])
         silhouette_error = SILHOUETTE_WEIGHT * (1 - silhouettes).mean().to(parameter)
@@ -130,7 +139,7 @@ def fit_pass(
         Schedule(plan.steps, end=FINAL_LEARNING_RATE),
         stage="geometry",
         report=lambda progress: context.report(replace(progress, message="photo-consistency")),
-        checkpointing=Checkpointing(checkpoint, context.checkpoint_seconds),
+        checkpointing=Checkpointing(checkpoint, context.checkpoint_seconds, STEPS_PER_RAY_STRUCTURE),
         locate=locate,
         first_step=plan.first_step,
         total_steps=total_steps,

@@ -33,7 +33,7 @@ def uniform_pixels(mesh: Mesh, camera: Camera) -> NDArray[np.bool_]:
     )
     origins, directions = camera.rays(np.stack([column + right, row + down], axis=-1).reshape(-1, 2))
     queries = MeshQueries(positions, faces)
-    face, distance = queries.first_faces(origins, directions), queries.first_distances(origins, directions)
+    face, distance = queries.first_faces_and_distances(origins, directions)
     hit = face >= 0
     a, b, c = positions[faces[np.where(hit, face, 0)]].transpose(1, 0, 2)
     normals = np.cross(b - a, c - a)

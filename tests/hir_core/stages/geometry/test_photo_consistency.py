@@ -21,6 +21,7 @@ from hir_core.stages.geometry.photo_consistency import (
     PixelPairs,
     neighbouring_views,
     photo_consistency_residuals,
+    ray_structure,
     sample_pairs,
 )
 from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
@@ -212,6 +213,27 @@ def test_gradient_is_that_of_finite_differences(hollow: tuple[Positions, Faces])
     (gradient,) = torch.autograd.grad(difference[here].square().sum(), mesh.positions)
     expected = (plus[ahead].square().sum() - minus[behind].square().sum()) / (2 * step)
     assert float((gradient * swelling).sum()) == pytest.approx(float(expected), rel=0.02)
+
+
+def test_the_rays_of_a_mesh_serve_for_small_movements(hollow: tuple[Positions, Faces], capture: Capture) -> None:
+    """Vertices move by a tenth of a pixel, also behind the surface of the rays; the residuals hardly change."""
+    details = DetailImages.of(capture.views, 1)
+    near = neighbouring_views(capture.cameras, range(len(capture.views)))
+    pairs = sample_pairs(details, near, range(len(capture.views)), 300, np.random.default_rng(2))
+    before = mesh_of(*hollow)
+    rays = ray_structure(before)
+    same, rows = photo_consistency_residuals(before, details, pairs, rays)
+    default, default_rows = photo_consistency_residuals(before, details, pairs)
+    assert np.array_equal(rows, default_rows) and torch.equal(same, default)
+    generator = torch.Generator().manual_seed(0)
+    noise = 0.003 * torch.randn(before.positions.shape, generator=generator)
+    moved = before.with_positions(before.positions + noise)
+    exact, exact_rows = photo_consistency_residuals(moved, details, pairs)
+    found, found_rows = photo_consistency_residuals(moved, details, pairs, rays)
+    both, here, there = np.intersect1d(exact_rows, found_rows, return_indices=True)
+    assert len(both) > 0.97 * len(exact_rows)
+    error = (exact[torch.from_numpy(here)] - found[torch.from_numpy(there)]).abs().mean()
+    assert float(error) < 0.1 * float(exact.abs().mean())
 
 
 def _with_second_take(capture: Capture, views: list[int]) -> Capture:
