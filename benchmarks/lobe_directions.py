@@ -28,8 +28,7 @@ from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.selection.hypotheses import KINDS, hypothesis
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit_of_alpha
-from hir_plugins.reflectance_renderers.transport_ggx.operator import camera_light, specular_lobes
-from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
+from hir_plugins.reflectance_renderers.transport_ggx.operator import camera_light, specular_lobes, traced_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
 
@@ -67,18 +66,14 @@ PATTERNS: dict[str, Pattern] = {
 @contextmanager
 def drawn_with(pattern: Pattern, level_offset: float) -> Iterator[None]:
     """Lobes with another pattern of directions that read the light `level_offset` levels coarser."""
-    points, lookup = specular_lobes.spiral_points, Pyramid.lookup
-
-    def shifted(pyramid: Pyramid, directions: Tensor, solid_angle: Tensor) -> tuple[Tensor, Tensor]:
-        return lookup(pyramid, directions, solid_angle * 4.0**level_offset)
-
+    points = specular_lobes.spiral_points
     specular_lobes.spiral_points = camera_light.spiral_points = pattern
-    Pyramid.lookup = shifted  # type: ignore[method-assign]
+    traced_directions.LEVEL_OFFSET = level_offset
     try:
         yield
     finally:
         specular_lobes.spiral_points = camera_light.spiral_points = points
-        Pyramid.lookup = lookup  # type: ignore[method-assign]
+        traced_directions.LEVEL_OFFSET = 0.0
 
 
 def solver_with(task: Task, directions: int) -> TransportSolver:

@@ -46,6 +46,13 @@ def to_torch(array: DrJitArray, shape: tuple[int, ...], device: torch.device) ->
     return torch.from_numpy(np.array(array, copy=True).astype(np.float32, copy=False)).reshape(shape).to(device)
 
 
+def to_torch_integers(array: DrJitArray, shape: tuple[int, ...], device: torch.device) -> Tensor:
+    """An int32 tensor with a copy of a flat Dr.Jit array."""
+    if device.type == "cuda":
+        return array.torch().to(torch.int32).reshape(shape).clone().to(device)
+    return torch.from_numpy(np.array(array, copy=True).astype(np.int32, copy=False)).reshape(shape).to(device)
+
+
 def to_color(array: DrJitArray, device: torch.device) -> Tensor:
     """(N, 3) of a `mi.Color3f`."""
     dr.eval(array)  # together: each channel that is read alone would run its kernel again

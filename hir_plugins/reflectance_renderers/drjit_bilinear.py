@@ -24,7 +24,7 @@ class AxisNeighbours:
     """Weight of `high`; that of `low` is 1 minus it."""
 
 
-def repeated(position: DrJitArray, count: int) -> AxisNeighbours:
+def repeated(position: DrJitArray, count: int | DrJitArray) -> AxisNeighbours:
     """Neighbours along a periodic axis, for positions in −1 … `count` − ½: those of coordinates in 0…1."""
     floor = dr.floor(position)
     low = mi.Int32(floor)
@@ -33,7 +33,7 @@ def repeated(position: DrJitArray, count: int) -> AxisNeighbours:
     return AxisNeighbours(low, high, position - floor)
 
 
-def extended(position: DrJitArray, count: int) -> AxisNeighbours:
+def extended(position: DrJitArray, count: int | DrJitArray) -> AxisNeighbours:
     """Neighbours along an axis whose border texels go on outside."""
     floor = dr.floor(position)
     low = mi.Int32(floor)

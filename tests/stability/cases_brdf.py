@@ -10,7 +10,8 @@ import torch
 from hir_exporters.materials import brdf_numpy as numpy_brdf
 
 from hir_plugins.reflectance_renderers import brdf_torch
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import tangent_frame, visible_normal
+from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import tangent_frame
 from tests.stability.case import Case
 
 _GGX = "a*a / (pi * (c*c*(a*a - 1) + 1)**2)"
@@ -107,7 +108,7 @@ def _grazing() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes.visible_normal",
+                "hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit.visible_normal",
                 f"α = {alpha:g}, seen along the surface, the last point of the cap",
                 "a unit vector above the surface",
                 lambda a=alpha: _last_normal(a),
@@ -122,8 +123,18 @@ def _grazing() -> list[Case]:
 
 def _last_normal(alpha: float) -> list[float]:
     """Length, and whether it points up."""
-    h = visible_normal(torch.tensor([[1.0, 0, 0]]), _t(alpha), torch.tensor([[0.5, 1.0]]))[0]
-    return [float(h.norm()), float(h[2] > 0)]
+    h = visible_normal_of((1.0, 0.0, 0.0), alpha, area=1.0, turn=0.5)
+    return [float(np.linalg.norm(h)), float(h[2] > 0)]
+
+
+def visible_normal_of(eye: tuple[float, float, float], alpha: float, area: float, turn: float) -> np.ndarray:
+    """The renderer's visible normal at a point of the unit square."""
+    import mitsuba as mi
+
+    mitsuba_on("cpu")
+    from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import visible_normal
+
+    return np.array(visible_normal(mi.Vector3f(*eye), mi.Float(alpha), mi.Point2f(area, turn)))[:, 0]
 
 
 def _naive_visible(alpha: np.float32) -> list[np.float32]:
@@ -142,7 +153,7 @@ def _frames() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes.tangent_frame",
+                "hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface.tangent_frame",
                 f"normal {normal_offset:g} rad from −z, where a frame of one sign has its pole",
                 "tangents at right angles, of length 1",
                 lambda n=normal: _skew(*(v[0].numpy() for v in tangent_frame(torch.from_numpy(n)[None])), n),

@@ -24,8 +24,8 @@ from hir_core.stages.geometry.photo_evaluation import confirmed_share, interpola
 from hir_plugins.reflectance_renderers import brdf_torch
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights, smoothness_energy
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import visible_normal
 from tests.stability.case import DIGITS, Case
+from tests.stability.cases_brdf import visible_normal_of
 
 _ACOS = "acos(a·b)"
 
@@ -244,7 +244,7 @@ def _microfacets() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes.visible_normal",
+                "hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit.visible_normal",
                 f"α = {alpha:g}, seen along the normal, the middle of the cap",
                 "tan θ = α",
                 lambda a=alpha: _tangent_of_visible(a),
@@ -268,9 +268,8 @@ def _masked(alpha: float, i: float, o: float) -> np.float64:
 
 
 def _tangent_of_visible(alpha: float) -> float:
-    along = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
-    h = visible_normal(along, torch.tensor(alpha, dtype=torch.float64), torch.full((1, 2), 0.5, dtype=torch.float64))[0]
-    return float(h[:2].norm() / h[2])
+    h = visible_normal_of((0.0, 0.0, 1.0), alpha, area=0.5, turn=0.5)
+    return float(np.linalg.norm(h[:2]) / h[2])
 
 
 def _energy() -> list[Case]:

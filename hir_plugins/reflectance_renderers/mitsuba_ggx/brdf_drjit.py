@@ -46,7 +46,7 @@ def metallic_reflectance(
 def evaluate(r: Reflectance, eye: DrJitArray, light: DrJitArray) -> DrJitArray:
     """`f · (n·wi)` as Color3f; the operations and their order are those of `brdf_torch.evaluate`."""
     half = _half(eye, light)
-    alpha = _clamped_alpha(r.alpha)
+    alpha = clamped_alpha(r.alpha)
     n_wi, n_wo = dr.clip(light.z, 0, 1), dr.clip(eye.z, 0, 1)
     lobe = _ggx(half, alpha) * (2 * n_wi / _denominator(n_wi, alpha)) / _denominator(n_wo, alpha) / 2
     cosine = n_wi * dr.inv_pi
@@ -61,29 +61,35 @@ def evaluate(r: Reflectance, eye: DrJitArray, light: DrJitArray) -> DrJitArray:
 
 def sample(r: Reflectance, eye: DrJitArray, point: DrJitArray) -> DrJitArray:
     """A direction drawn with the density of `pdf`, from a point of the unit square; not differentiated."""
-    eye, alpha, p = _above_horizon(eye), dr.detach(_clamped_alpha(r.alpha)), specular_probability(r, eye)
+    eye, alpha, p = _above_horizon(eye), dr.detach(clamped_alpha(r.alpha)), specular_probability(r, eye)
     specular = point.x < p
     u = dr.select(specular, point.x / p, (point.x - p) / (1 - p))
     u = mi.Point2f(dr.clip(u, 0, dr.one_minus_epsilon(mi.Float)), point.y)
     cosine = mi.warp.square_to_cosine_hemisphere(u)
-    return dr.select(specular, _reflect(eye, _visible_normal(eye, alpha, u)), cosine)
+    return dr.select(specular, _reflect(eye, visible_normal(eye, alpha, u)), cosine)
 
 
 def pdf(r: Reflectance, eye: DrJitArray, light: DrJitArray) -> DrJitArray:
     """Density per steradian of `sample`; 0 below the horizon. Not differentiated."""
-    eye, alpha, p = _above_horizon(eye), dr.detach(_clamped_alpha(r.alpha)), specular_probability(r, eye)
+    eye, alpha, p = _above_horizon(eye), dr.detach(clamped_alpha(r.alpha)), specular_probability(r, eye)
     half = _half(eye, light)
-    # visible normals: G1(eye) D / (4 eye.z), where eye.z cancels
-    lobe = _ggx(half, alpha) / (2 * _denominator(eye.z, alpha))
-    density = p * lobe + (1 - p) * dr.maximum(light.z, 0) * dr.inv_pi
+    density = p * visible_lobe(half, eye, alpha) + (1 - p) * dr.maximum(light.z, 0) * dr.inv_pi
     return dr.select(light.z > 0, density, 0)
+
+
+def visible_lobe(half: DrJitArray, eye: DrJitArray, alpha: DrJitArray) -> DrJitArray:
+    """Density per steradian of reflections at visible normals: G1(eye) D / (4 eye.z), where eye.z cancels.
+
+    `alpha` is at least `ALPHA_MIN`.
+    """
+    return _ggx(half, alpha) / (2 * _denominator(eye.z, alpha))
 
 
 def specular_probability(r: Reflectance, eye: DrJitArray) -> DrJitArray:
     """Probability with which `sample` draws from the specular lobe: by the albedos of both parts."""
     specular, diffuse = _mean(dr.detach(r.specular)), _mean(dr.detach(r.diffuse))
     if r.model != "paper":
-        scale, bias = albedo_terms(eye.z, dr.detach(_clamped_alpha(r.alpha)))
+        scale, bias = albedo_terms(eye.z, dr.detach(clamped_alpha(r.alpha)))
         specular = specular * scale + bias
         diffuse = diffuse * (1 - specular)
     specular, diffuse = dr.maximum(specular, 0), dr.maximum(diffuse, 0)
@@ -131,7 +137,8 @@ def _denominator(cos: DrJitArray, alpha: DrJitArray) -> DrJitArray:
     return cos + dr.sqrt(alpha2 + (1 - alpha2) * dr.square(cos))
 
 
-def _clamped_alpha(alpha: DrJitArray) -> DrJitArray:
+def clamped_alpha(alpha: DrJitArray) -> DrJitArray:
+    """α within the limits of the BRDF."""
     return dr.clip(alpha, ALPHA_MIN, 1)
 
 
@@ -144,14 +151,15 @@ def _above_horizon(eye: DrJitArray) -> DrJitArray:
     return dr.normalize(mi.Vector3f(eye.x, eye.y, dr.maximum(eye.z, _EYE_MIN)))
 
 
-def _visible_normal(eye: DrJitArray, alpha: DrJitArray, u: DrJitArray) -> DrJitArray:
+def visible_normal(eye: DrJitArray, alpha: DrJitArray, u: DrJitArray) -> DrJitArray:
     """A GGX normal visible from `eye` (Dupuy and Benyoub 2023, spherical caps)."""
     stretched = dr.normalize(mi.Vector3f(alpha * eye.x, alpha * eye.y, eye.z))
     z = dr.fma(1 - u.x, 1 + stretched.z, -stretched.z)
     radius = dr.safe_sqrt(1 - z * z)
     sin, cos = dr.sincos(dr.two_pi * u.y)
     half = mi.Vector3f(radius * cos, radius * sin, z) + stretched
-    return dr.normalize(mi.Vector3f(alpha * half.x, alpha * half.y, half.z))
+    # at the last point of the cap, seen along the normal, the sum is zero
+    return dr.normalize(mi.Vector3f(alpha * half.x, alpha * half.y, dr.maximum(half.z, 1e-9)))
 
 
 def _reflect(eye: DrJitArray, half: DrJitArray) -> DrJitArray:

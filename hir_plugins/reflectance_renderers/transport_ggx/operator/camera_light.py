@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,7 +12,11 @@ from torch import Tensor
 from hir_core.capture import Capture
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap, SparsityPattern
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import spiral_points, tangent_frame
+from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import spiral_points
+from hir_plugins.reflectance_renderers.transport_ggx.operator.traced_directions import (
+    DirectionFrames,
+    traced_hemispheres,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
 UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
@@ -32,11 +35,7 @@ def camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "N
 def pixel_irradiance(
     transport: Transport, points: SurfacePoints, samples: int, rotation: Float[Tensor, "N 3 3"], seed: int = 0
 ) -> LinearMap:
-    """Irradiance of each point as a matrix on the flattened pyramid; its columns for cache cells are zero.
-
-    Directions follow the cosine and are tested for occlusion. Each reads the pyramid level whose texels are as large as
-    its share of the hemisphere.
-    """
+    """Irradiance of each point as a matrix on the flattened pyramid; its columns for cache cells are zero."""
     parts = list(_parts(transport, points, samples, rotation, seed))
     columns, values = (torch.cat(part) for part in zip(*parts, strict=True))
     return LinearMap.from_rows(columns, values, transport.takes.count * transport.source_count)
@@ -60,27 +59,14 @@ def _parts(
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Columns and values of the matrix, in chunks of rows."""
     for start in range(0, max(len(points), 1), PIXELS_PER_CHUNK):
-        rows = torch.arange(len(points), device=points.face.device)[start : start + PIXELS_PER_CHUNK]
-        yield _rows(transport, points.take(rows), samples, rotation, seed + start)
+        part = points.part(slice(start, start + PIXELS_PER_CHUNK))
+        yield _rows(transport, part, samples, rotation, seed + start)
 
 
 def _rows(
     transport: Transport, points: SurfacePoints, samples: int, rotation: Tensor, seed: int
 ) -> tuple[Tensor, Tensor]:
-    count, device = len(points), points.position.device
-    square = spiral_points(count, samples, seed, device)
-    radius, phi = square[..., 1].sqrt(), 2 * math.pi * square[..., 0]
-    height = (1 - square[..., 1]).clamp_min(0).sqrt()
-    local = torch.stack([radius * phi.cos(), radius * phi.sin(), height], dim=-1)
-    tangent, bitangent = tangent_frame(points.normal)
-    directions = local @ torch.stack([tangent, bitangent, points.normal], dim=1)
-    origin = points.position + transport.offset * (points.face_normal + points.normal)
-    origins = origin[:, None].expand(-1, samples, -1).reshape(-1, 3)
-    occluded = transport.tracer.occluded(origins.cpu().numpy(), directions.reshape(-1, 3).cpu().numpy())
-    lookup = (rotation[points.view][:, None] @ directions[..., None]).reshape(-1, 3)
-    solid_angle = math.pi / (samples * height.clamp_min(0.05))
-    index, weight = transport.pyramid.lookup(lookup, solid_angle.reshape(-1))
-    index = transport.takes.stacked_columns(index.reshape(count, -1), points.view, transport.source_count)
-    visible = torch.from_numpy(~occluded).to(device, torch.float32)
-    weight = weight * (visible * math.pi / samples)[:, None]
-    return index.int(), weight.reshape(count, -1)
+    square = spiral_points(len(points), samples, seed, points.position.device)
+    frames = DirectionFrames.of(points, transport.offset)
+    index, weight = traced_hemispheres(transport.tracer, frames, square, transport.pyramid, rotation)
+    return transport.takes.stacked_columns(index, points.view, transport.source_count), weight

@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache import IrradianceCache
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import row_solid_angles, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
-from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
 
 RAYS_PER_CHUNK = 1 << 21
 

@@ -11,10 +11,8 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
-
-from hir_core.scene.bilinear import latlong_texels
 
 
 @dataclass(frozen=True)
@@ -48,21 +46,6 @@ class Pyramid:
             blocks = finer.reshape(height, 2, width, 2, -1).mean(dim=3)
             levels.append((blocks * weight[:, :, None, None]).sum(dim=1))
         return torch.cat([level.reshape(-1, radiance.shape[-1]) for level in levels])
-
-    def lookup(
-        self, directions: Float[Tensor, "N 3"], solid_angle: Float[Tensor, " N"]
-    ) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
-        """Texels of `flatten` and their bilinear weights for each direction, at the level of its solid angle."""
-        shapes = self.shapes
-        u, v = latlong(directions)
-        texel = 2 * math.pi**2 / (self.height * self.width) * torch.sin(math.pi * v).clamp_min(1e-3)
-        level = (0.5 * torch.log2((solid_angle / texel).clamp_min(1e-12))).round().clamp(0, len(shapes) - 1).long()
-        heights = torch.tensor([s[0] for s in shapes], device=u.device)[level]
-        widths = torch.tensor([s[1] for s in shapes], device=u.device)[level]
-        sizes = torch.tensor([0] + [h * w for h, w in shapes], device=u.device)
-        offset = sizes.cumsum(0)[level]
-        index, weight = latlong_texels(u, v, heights, widths)
-        return index + offset[:, None], weight
 
 
 def latlong(directions: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"]]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hir_core.scene import Mesh
+from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.diffuse_transport import (
     DiffuseTransport,
     diffuse_transport,
@@ -22,7 +23,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache i
 )
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
-from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes, trace_lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.take_lights import (
     ONE_LIGHT,

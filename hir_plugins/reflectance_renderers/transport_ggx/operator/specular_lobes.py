@@ -16,9 +16,10 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms, ggx_d, schlick_weight, specular_lobe
+from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms, schlick_weight, specular_lobe
+from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
-from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
+from hir_plugins.reflectance_renderers.transport_ggx.operator.traced_directions import DirectionFrames, traced_lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
 PIXELS_PER_CHUNK = 1 << 16
@@ -116,10 +117,13 @@ def trace_lobes(
     alpha = alpha.detach().expand(len(points), 1)
     for start in range(0, max(len(points), 1), PIXELS_PER_CHUNK):
         part = slice(start, start + PIXELS_PER_CHUNK)
-        rows = points.take(torch.arange(len(points), device=points.face.device)[part])
+        rows = points.part(part)
         parts.append(_trace(tracer, rows, face_cells, alpha[part], samples, pyramid, offset, rotation, seed + start))
+    found, sources = parts[0], pyramid.texels + cells
+    if len(parts) == 1:
+        return replace(found, sources=sources)
     joined = {name: torch.cat([getattr(p, name) for p in parts]) for name in _PER_PIXEL}
-    return replace(parts[0], **joined, sources=pyramid.texels + cells)
+    return replace(found, **joined, sources=sources)
 
 
 def _trace(
@@ -134,79 +138,13 @@ def _trace(
     seed: int,
 ) -> Lobes:
     """The lobes of one chunk of points, without the number of sources."""
-    device = points.position.device
-    count = len(points)
-    tangent, bitangent = tangent_frame(points.normal)
-    wo = points.to_eye
-    local_o = torch.stack([(wo * tangent).sum(1), (wo * bitangent).sum(1), (wo * points.normal).sum(1)], dim=1)
+    frames, wo = DirectionFrames.of(points, offset), points.to_eye
+    local_o = (frames.axes @ wo[..., None])[..., 0]
     n_wo = local_o[:, 2].clamp_min(MIN_EYE_COSINE)
     local_o = torch.nn.functional.normalize(torch.cat([local_o[:, :2], n_wo[:, None]], dim=1), dim=1)
-    square = spiral_points(count, samples, seed, device)
-    h = visible_normal(local_o[:, None, :].expand(-1, samples, -1), alpha, square)
-    h_wo = (h * local_o[:, None]).sum(-1).clamp(0, 1)
-    local_i = 2 * h_wo[..., None] * h - local_o[:, None]
-    n_wi = local_i[..., 2]
-    sin2 = h[..., 0].square() + h[..., 1].square()
-    cosine = n_wo[:, None]
-    smith = cosine + (alpha.square() + (1 - alpha.square()) * cosine.square()).sqrt()
-    density = ggx_d(h[..., 2], alpha, sin2) / (2 * smith)
-    axes = torch.stack([tangent, bitangent, points.normal], dim=1)
-    wi = local_i @ axes
-    flat = wi.reshape(-1, 3)
-    above = (n_wi > 0).reshape(-1)
-    lift = offset * (points.face_normal + points.normal)
-    origin = (points.position + lift)[:, None].expand(-1, samples, -1).reshape(-1, 3)
-    chosen = above.nonzero()[:, 0]
-    face = tracer.closest(origin[chosen].cpu().numpy(), flat[chosen].cpu().numpy()).face
-    lookup = flat
-    if rotation is not None:
-        lookup = (rotation[points.view][:, None] @ wi[..., None]).reshape(-1, 3)
-    inverse = 1 / (samples * density.clamp_min(1e-12))
-    columns, bilinear = pyramid.lookup(lookup, inverse.reshape(-1))
-    blocked = chosen[torch.from_numpy(face >= 0).to(device)]
-    columns[blocked] = pyramid.texels + torch.from_numpy(face_cells[face[face >= 0]]).to(device)[:, None]
-    bilinear[blocked] = 0.25
-    return Lobes(
-        columns.reshape(count, 4 * samples).int(),
-        bilinear.reshape(count, 4 * samples),
-        n_wi,
-        h[..., 2],
-        sin2,
-        h_wo,
-        n_wo,
-        inverse * above.reshape(count, samples),
-        alpha,
-        local_i,
-        local_o,
-        axes,
-        0,
-    )
-
-
-def tangent_frame(normal: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
-    """Tangent and bitangent of unit normals, without a singularity (Duff et al. 2017)."""
-    x, y, z = normal.unbind(1)
-    sign = torch.where(z >= 0, 1.0, -1.0)
-    a = -1 / (sign + z)
-    b = x * y * a
-    tangent = torch.stack([1 + sign * x * x * a, sign * b, -sign * x], dim=1)
-    bitangent = torch.stack([b, sign + y * y * a, -y], dim=1)
-    return tangent, bitangent
-
-
-def visible_normal(
-    wo: Float[Tensor, "*b 3"], alpha: Float[Tensor, "*#b"], square: Float[Tensor, "*b 2"]
-) -> Float[Tensor, "*b 3"]:
-    """Normals visible from local directions `wo`, by the spherical cap of Dupuy and Benyoub (2023)."""
-    stretched = torch.nn.functional.normalize(
-        torch.stack([alpha * wo[..., 0], alpha * wo[..., 1], wo[..., 2]], dim=-1), dim=-1
-    )
-    phi = 2 * math.pi * square[..., 0]
-    z = (1 - square[..., 1]) * (1 + stretched[..., 2]) - stretched[..., 2]
-    r = (1 - z * z).clamp_min(0).sqrt()
-    h = torch.stack([r * phi.cos(), r * phi.sin(), z], dim=-1) + stretched
-    h = torch.stack([alpha * h[..., 0], alpha * h[..., 1], h[..., 2].clamp_min(1e-9)], dim=-1)
-    return torch.nn.functional.normalize(h, dim=-1)
+    square = spiral_points(len(points), samples, seed, points.position.device)
+    found = traced_lobes(tracer, frames, local_o, alpha, square, face_cells, pyramid, rotation)
+    return Lobes(**found._asdict(), n_wo=n_wo, sampling_alpha=alpha, toward_eye=local_o, axes=frames.axes, sources=0)
 
 
 def spiral_points(count: int, samples: int, seed: int, device: torch.device) -> Float[Tensor, "P K 2"]:
@@ -216,9 +154,10 @@ def spiral_points(count: int, samples: int, seed: int, device: torch.device) -> 
     1 / K has one point. The R2 sequence is even on the square instead, and lobes have 0.5 to 2 dB more error with it
     (docs/studies/directions_of_lobes.md).
     """
-    index = torch.arange(samples, device=device, dtype=torch.float64)
+    index = torch.arange(samples, dtype=torch.float64)
+    turned = (index * TURN).remainder(1).float().to(device)
     generator = torch.Generator().manual_seed(seed)
-    shift = torch.rand(count, 1, 2, generator=generator, dtype=torch.float64).to(device)
-    angle = (index * TURN + shift[..., 0]).remainder(1)
-    area = (index + shift[..., 1]) / samples
-    return torch.stack([angle, area], dim=-1).float()
+    shift = torch.rand(count, 1, 2, generator=generator, dtype=torch.float64).float().to(device)
+    angle = turned + shift[..., 0]
+    area = (index.float().to(device) + shift[..., 1]) / samples
+    return torch.stack([torch.where(angle >= 1, angle - 1, angle), area], dim=-1)

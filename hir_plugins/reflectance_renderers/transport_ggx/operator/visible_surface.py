@@ -13,7 +13,7 @@ from torch.nn.functional import normalize
 
 from hir_core.capture import Camera
 from hir_core.scene import Mesh, Topology
-from hir_plugins.reflectance_renderers.transport_ggx.operator.ray_tracer import RayTracer
+from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 
 MAX_REFINED_FACES = 400_000
 """Coarse meshes are not subdivided beyond this number of faces."""
@@ -99,6 +99,10 @@ class SurfacePoints:
         """The points of `rows`."""
         return SurfacePoints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
+    def part(self, rows: slice) -> SurfacePoints:
+        """The points of a range, without a copy."""
+        return SurfacePoints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
     def with_normals(self, normal: Float[Tensor, "P 3"]) -> SurfacePoints:
         """The same points with other shading normals."""
         return replace(self, normal=normal)
@@ -142,3 +146,14 @@ def locate(surface: Surface, face: Tensor, uv: Tensor, to_eye: Tensor, view: Ten
     position = (surface.positions[corners] * barycentric[..., None]).sum(1)
     normal = normalize((surface.normals[corners] * barycentric[..., None]).sum(1), dim=1, eps=1e-12)
     return SurfacePoints(view.long(), face, barycentric, position, normal, surface.face_normals[face], to_eye)
+
+
+def tangent_frame(normal: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
+    """Tangent and bitangent of unit normals, without a singularity (Duff et al. 2017)."""
+    x, y, z = normal.unbind(1)
+    sign = torch.where(z >= 0, 1.0, -1.0)
+    a = -1 / (sign + z)
+    b = x * y * a
+    tangent = torch.stack([1 + sign * x * x * a, sign * b, -sign * x], dim=1)
+    bitangent = torch.stack([b, sign + y * y * a, -y], dim=1)
+    return tangent, bitangent

@@ -20,7 +20,7 @@ from hir_plugins.reflectance_renderers.brdf_torch import Model
 from hir_plugins.reflectance_renderers.drjit_arrays import to_color, to_float, to_torch
 from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup import lobe_of, patch_around
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import alpha_of, level_of
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import tangent_frame
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import tangent_frame
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import (
     MIN_SPECULAR_ALBEDO,
     BrdfState,

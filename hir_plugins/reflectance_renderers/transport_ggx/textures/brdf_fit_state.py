@@ -18,7 +18,7 @@ from hir_plugins.reflectance_renderers.drjit_arrays import to_float, to_uint
 from hir_plugins.reflectance_renderers.drjit_srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 from hir_plugins.reflectance_renderers.transport_ggx.operator.probe_lookup import TEXELS_PER_PROBE, ProbeTable
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import tangent_frame
+from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import tangent_frame
 from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import Observations
 
 FROZEN_WEIGHT = 1e8

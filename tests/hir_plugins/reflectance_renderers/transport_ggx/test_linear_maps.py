@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from hir_plugins.reflectance_renderers.transport_ggx.operator import ray_tracer
+from hir_plugins.reflectance_renderers import ray_tracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap, SparsityPattern
 
 ROWS, WIDTH, ENTRIES = 50, 30, 7

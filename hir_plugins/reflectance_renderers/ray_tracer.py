@@ -33,7 +33,8 @@ class RayTracer:
         mi = mitsuba_on(device)
         flat_positions = mi.Float(np.ascontiguousarray(positions, dtype=np.float32).ravel())
         flat_faces = mi.UInt32(np.ascontiguousarray(faces, dtype=np.uint32).ravel())
-        self._scene = mesh_scene(mi, flat_positions, flat_faces, len(positions), len(faces))
+        self.scene = mesh_scene(mi, flat_positions, flat_faces, len(positions), len(faces))
+        """For kernels that trace rays of their own."""
         self._mi = mi
 
     def closest(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> Hits:
@@ -42,7 +43,7 @@ class RayTracer:
         for start in range(0, len(origins), RAYS_PER_LAUNCH):
             ray = self._ray(origins[start : start + RAYS_PER_LAUNCH], directions[start : start + RAYS_PER_LAUNCH])
             # not `coherent`: Embree traces rays in all directions four times faster without it, and camera rays as fast
-            hit = self._scene.ray_intersect_preliminary(ray, coherent=False)
+            hit = self.scene.ray_intersect_preliminary(ray, coherent=False)
             is_valid, u, v = hit.is_valid(), hit.prim_uv.x, hit.prim_uv.y
             # one kernel for all results: each array that is read alone would trace the rays again
             dr.eval(is_valid, hit.prim_index, u, v)
@@ -58,7 +59,7 @@ class RayTracer:
         """Whether each ray (N, 3), (N, 3) hits the mesh."""
         chunks = [
             np.asarray(
-                self._scene.ray_test(self._ray(origins[s : s + RAYS_PER_LAUNCH], directions[s : s + RAYS_PER_LAUNCH]))
+                self.scene.ray_test(self._ray(origins[s : s + RAYS_PER_LAUNCH], directions[s : s + RAYS_PER_LAUNCH]))
             ).astype(bool)
             for s in range(0, len(origins), RAYS_PER_LAUNCH)
         ]
