@@ -30,8 +30,6 @@ LEVEL_OFFSET = 0.0
 MIN_DENSITY = 1e-12
 BILINEAR_OF_CELL = 0.25
 """Weight of each of the four equal columns of a direction that hits the surface."""
-
-
 MIN_HEMISPHERE_COSINE = 0.05
 """Directions near the horizon stand for at most this much more than their share of the hemisphere."""
 
@@ -64,6 +62,13 @@ class TracedLobes(NamedTuple):
     inverse_pdf: Float[Tensor, "P K"]
     toward_light: Float[Tensor, "P K 3"]
 
+    @classmethod
+    def of_no_points(cls, square: Float[Tensor, "P K 2"]) -> TracedLobes:
+        """For P = 0, which a kernel does not take."""
+        value, samples = square[..., 0], square.shape[1]
+        wide = square.reshape(0, 2 * samples).repeat(1, 2)
+        return cls(wide.int(), wide, value, value, value, value, value, square.new_zeros(0, samples, 3))
+
 
 def traced_lobes(
     tracer: RayTracer,
@@ -82,6 +87,8 @@ def traced_lobes(
     """
     count, samples, _ = square.shape
     device = frames.origin.device
+    if count == 0:
+        return TracedLobes.of_no_points(square)
     row, drawn = _rows_and_points(square)
     eye: DrJitArray = dr.gather(mi.Vector3f, to_float(toward_eye, mi), row)
     width = clamped_alpha(dr.gather(mi.Float, to_float(alpha, mi), row))
@@ -126,6 +133,9 @@ def traced_hemispheres(
     large as its share of the hemisphere.
     """
     count, samples, _ = square.shape
+    if count == 0:
+        nothing = TracedLobes.of_no_points(square)
+        return nothing.columns, nothing.bilinear
     row, drawn = _rows_and_points(square)
     radius, cosine = dr.sqrt(drawn.y), dr.safe_sqrt(1 - drawn.y)
     sine_of_turn, cosine_of_turn = dr.sincos(dr.two_pi * drawn.x)

@@ -110,6 +110,20 @@ def test_hard_cases_are_finite() -> None:
     assert bool(torch.isfinite(weights).all()) and 0 <= int(columns.min()) <= int(columns.max()) < PYRAMID.texels
 
 
+@pytest.mark.parametrize("points", [0, 1])
+@pytest.mark.parametrize("directions", [1, 16])
+def test_few_points(points: int, directions: int) -> None:
+    tracer, cells, frames = beside_a_ball()
+    few = DirectionFrames(frames.origin[:points], frames.axes[:points], frames.view[:points])
+    square = spiral_points(points, directions, 0, torch.device("cpu"))
+    arguments = (tracer, few, eyes(0.1)[:points], torch.full((points, 1), 0.1), square, cells, PYRAMID, rotations(5))
+    found, expected = traced_lobes(*arguments), torch_directions.lobes(*arguments)
+    for own, reference in zip(found, expected, strict=True):
+        assert own.shape == reference.shape and own.dtype == reference.dtype
+    columns, weights = traced_hemispheres(tracer, few, square, PYRAMID, rotations(5))
+    assert columns.shape == weights.shape == (points, 4 * directions) and columns.dtype == torch.int32
+
+
 def looked_up(pyramid: Pyramid, directions: Tensor, solid_angle: Tensor) -> tuple[Tensor, Tensor]:
     columns, weights = light_texels(
         pyramid, mi.Vector3f(*directions.T.contiguous().numpy()), mi.Float(solid_angle.numpy())

@@ -40,12 +40,12 @@ def lobes(
     world = light @ frames.axes
     origin = frames.origin[:, None].expand(-1, samples, -1)
     face = np.full(above.shape, -1)
-    face[above] = tracer.closest(origin[above].numpy(), world[above].numpy()).face
+    face[above.numpy()] = tracer.closest(origin[above].numpy(), world[above].numpy()).face
     columns, weights = lookup(pyramid, in_frame_of_light(world, frames, rotation).reshape(-1, 3), inverse.reshape(-1))
     columns, weights = columns.reshape(count, samples, 4), weights.reshape(count, samples, 4)
     columns[face >= 0] = pyramid.texels + torch.from_numpy(face_cells[face[face >= 0]])[:, None]
     weights[face >= 0] = 0.25
-    flat = columns.reshape(count, -1).int(), weights.reshape(count, -1)
+    flat = columns.reshape(count, 4 * samples).int(), weights.reshape(count, 4 * samples)
     return TracedLobes(*flat, light[..., 2], h[..., 2], sine, h_wo, inverse * above, light)
 
 
