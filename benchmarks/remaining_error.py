@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
+from hir_exporters.conventions import direction_to_latlong_uv
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -21,7 +22,7 @@ from hir_core.plugins.interfaces import ReflectanceSolver
 from hir_core.rendering.light_files import load_light
 from hir_core.scene import EnvironmentMap, Scene
 from hir_plugins.commands.bench.suites.reflectance_fits import DOWNSAMPLE, FITTED_MODEL
-from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import latlong, texel_directions
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,8 @@ def seen_from(light: EnvironmentMap, rows: int) -> Tensor:
     """A light in the world's axes (rows, 2·rows, 3): means of eight by eight samples per texel."""
     fine = 8 * rows
     assert light.to_world is not None
-    u, v = latlong(texel_directions(fine, 2 * fine) @ light.to_world)
+    directions = texel_directions(fine, 2 * fine) @ light.to_world
+    u, v = torch.from_numpy(direction_to_latlong_uv(directions.numpy())).unbind(1)
     height, width = light.radiance.shape[:2]
     row, column = (v * height).long().clamp(0, height - 1), (u * width).long().clamp(0, width - 1)
     looked = light.radiance[row, column].reshape(1, fine, 2 * fine, 3).permute(0, 3, 1, 2)

@@ -71,15 +71,6 @@ def texture_texels(
     return bilinear_weights(x, y, width)
 
 
-def latlong_texels(
-    u: Float[Tensor, " N"], v: Float[Tensor, " N"], height: int | Int[Tensor, " N"], width: int | Int[Tensor, " N"]
-) -> tuple[Int[Tensor, "N 4"], Float[Tensor, "N 4"]]:
-    """Texels and weights of lookups in a lat-long image: periodic in u, the last rows go on at the poles."""
-    x = axis_neighbours(u * width - 0.5, width, "repeat")
-    y = axis_neighbours(v * height - 0.5, height, "extend")
-    return bilinear_weights(x, y, width)
-
-
 def bilinear_values(
     texels: Float[Tensor, "T C"], x: AxisNeighbours, y: AxisNeighbours, width: int
 ) -> Float[Tensor, "N C"]:

@@ -46,11 +46,10 @@ def to_torch(array: DrJitArray, shape: tuple[int, ...], device: torch.device) ->
     return torch.from_numpy(np.array(array, copy=True).astype(np.float32, copy=False)).reshape(shape).to(device)
 
 
-def to_torch_integers(array: DrJitArray, shape: tuple[int, ...], device: torch.device) -> Tensor:
-    """An int32 tensor with a copy of a flat Dr.Jit array."""
-    if device.type == "cuda":
-        return array.torch().to(torch.int32).reshape(shape).clone().to(device)
-    return torch.from_numpy(np.array(array, copy=True).astype(np.int32, copy=False)).reshape(shape).to(device)
+def copy_to_torch(array: DrJitArray, target: Tensor) -> None:
+    """Copies a flat Dr.Jit array to a tensor of its type, with as many elements."""
+    values = array.torch() if target.is_cuda else torch.from_numpy(np.asarray(array))
+    target.copy_(values.reshape(target.shape))
 
 
 def to_color(array: DrJitArray, device: torch.device) -> Tensor:

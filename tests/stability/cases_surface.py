@@ -10,8 +10,9 @@ from hir_exporters.textures.uv_rasterization import rasterize_triangles
 
 from hir_core.mesh.texel_rasterization import dilate
 from hir_core.scene.asset_conversion import _unit
-from hir_core.scene.bilinear import latlong_texels, texture_texels
+from hir_core.scene.bilinear import texture_texels
 from hir_plugins.initializers.surface.vertex_colors import _fill_unseen, _weighted_median
+from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import (
     TexelEquations,
     solve_texels,
@@ -60,10 +61,10 @@ def _charts() -> list[Case]:
         cases.append(
             Case(
                 "reflectance",
-                "hir_core.scene.bilinear.latlong_texels",
-                f"u = {u:g} of a 4×8 light",
+                "hir_plugins.reflectance_renderers.drjit_bilinear.repeated",
+                f"u = {u:g} of a light of eight columns",
                 "texels of the row, weights of sum 1",
-                lambda u=u: _in_range(*_bilinear(u)),
+                lambda u=u: _in_range(*_periodic(u), 8),
                 lambda u=u: float(
                     np.floor(np.float32(u) * 8 - 0.5) >= 0 and np.floor(np.float32(u) * 8 - 0.5) + 1 <= 7
                 ),
@@ -78,7 +79,7 @@ def _charts() -> list[Case]:
                 "hir_core.scene.bilinear.texture_texels",
                 f"u = {u:g} of an 8×8 texture",
                 "texels inside, weights of sum 1",
-                lambda u=u: _in_range(*texture_texels(torch.tensor([[u, 0.5]]), 8, 8)),
+                lambda u=u: _in_range(*texture_texels(torch.tensor([[u, 0.5]]), 8, 8), 64),
                 lambda u=u: float(np.floor(u * 8 - 0.5) >= 0 and np.floor(u * 8 - 0.5) + 1 <= 7),
                 1.0,
                 formula="⌊8u − ½⌋ and the next",
@@ -93,14 +94,19 @@ def _plain_barycentrics(c: np.ndarray) -> float:
     return 64.0 if abs(weight) < 1e6 else float(weight)
 
 
-def _bilinear(u: float) -> tuple[torch.Tensor, torch.Tensor]:
-    one = torch.tensor([1])
-    return latlong_texels(torch.tensor([u]), torch.tensor([0.5]), 4 * one, 8 * one)
+def _periodic(u: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Both texels of a row of eight, and their weights."""
+    mi = mitsuba_on("cpu")
+    from hir_plugins.reflectance_renderers.drjit_bilinear import repeated
+
+    found = repeated(mi.Float(u) * 8 - 0.5, 8)
+    low, high, fraction = (torch.from_numpy(np.array(v)) for v in (found.low, found.high, found.fraction))
+    return torch.cat([low, high]), torch.cat([1 - fraction, fraction])
 
 
-def _in_range(index: torch.Tensor, weight: torch.Tensor) -> float:
+def _in_range(index: torch.Tensor, weight: torch.Tensor, count: int) -> float:
     return float(
-        ((index >= 0) & (index < 64)).all() and abs(float(weight.sum()) - 1) < 1e-6 and float(weight.min()) >= -1e-6
+        ((index >= 0) & (index < count)).all() and abs(float(weight.sum()) - 1) < 1e-6 and float(weight.min()) >= -1e-6
     )
 
 

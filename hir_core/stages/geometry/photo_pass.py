@@ -13,6 +13,7 @@ from torch import Tensor
 
 from hir_core.config import GeometrySettings
 from hir_core.mesh.large_steps import LargeSteps, UniformAdam
+from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.optimization.nonfinite_diagnostics import nonfinite_views
 from hir_core.optimization.optimization_loop import Checkpointing, optimize, warn_of_skipped_steps
 from hir_core.optimization.optimization_report import Terms
@@ -43,8 +44,8 @@ FINAL_LEARNING_RATE = 0.05
 """Factor of the learning rate at the end of a pass."""
 
 STEPS_PER_RAY_STRUCTURE = 4
-"""The acceleration structure of the mesh is built once for this many steps, in which vertices move by a fraction of a
-facet; it takes a quarter of a step (docs/studies/photo_consistency.md)."""
+"""The acceleration structure of the mesh, which takes a quarter of a step, is built once for this many. Five meshes had
+nearly the errors that they have with one for each step (docs/studies/photo_consistency.md)."""
 
 LAST_PASS_SHARE = 0.5
 """Steps of the pass with all views, as a share of another pass: it starts from a mesh that most of them have fitted."""
@@ -108,7 +109,7 @@ def fit_pass(
     silhouette_batches = Batches(len(train), max(1, settings.views_per_step // 2), seed + 1)
     checkpoint = context.checkpoints / f"photo_consistency_{plan.number}_{plan.downsample}_{plan.smoothness:g}.npz"
 
-    built_at, tracer = -1, ray_structure(mesh)
+    tracer: MeshQueries | None = None
 
     def photo_error(moved: Mesh, views: list[int], step: int) -> Tensor:
         pairs = sample_pairs(details, neighbours, views, PIXELS_PER_VIEW, np.random.default_rng((seed, step)))
@@ -116,10 +117,10 @@ def fit_pass(
         return huber(residuals).mean() if len(residuals) else 0.0 * moved.positions.sum()
 
     def loss(step: int) -> Terms:
-        nonlocal built_at, tracer
+        nonlocal tracer
         current = mesh.with_positions(large.decode(parameter))
-        if step % STEPS_PER_RAY_STRUCTURE == 0 and step != built_at:
-            built_at, tracer = step, ray_structure(current)
+        if step % STEPS_PER_RAY_STRUCTURE == 0:
+            tracer = ray_structure(current)
         error = photo_error(current, [train[i] for i in photo_batches(step)], step)
         silhouettes = iou(current, [train[i] for i in silhouette_batches(step)])
         silhouette_error = SILHOUETTE_WEIGHT * (1 - silhouettes).mean().to(parameter)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from hir_plugins.reflectance_renderers.drjit_arrays import to_float, to_torch
 from hir_plugins.reflectance_renderers.drjit_bilinear import bilinear, extended, repeated
+from hir_plugins.reflectance_renderers.drjit_latlong import latlong_coordinates
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 
 _UNIFORM_SHARE = 0.1
@@ -58,7 +59,7 @@ class Light:
 
     def radiance(self, direction: DrJitArray) -> DrJitArray:
         """Color3f from a direction, differentiable in `values`: periodic in u, the last rows go on at the poles."""
-        u, v = _coordinates(direction)
+        u, v = latlong_coordinates(direction)
         x, y = repeated(u * self.width - 0.5, self.width), extended(v * self.height - 0.5, self.height)
         value = bilinear(self._texel, x, y)
         return mi.Color3f(value.x, value.y, value.z)
@@ -76,7 +77,7 @@ class Light:
 
     def pdf(self, direction: DrJitArray) -> DrJitArray:
         """Density per steradian of `sample`."""
-        u, v = _coordinates(direction)
+        u, v = latlong_coordinates(direction)
         column = dr.minimum(mi.UInt32(u * self.width), self.width - 1)
         row = dr.minimum(mi.UInt32(v * self.height), self.height - 1)
         sin_polar = dr.sqrt(dr.square(direction.x) + dr.square(direction.z))
@@ -90,13 +91,6 @@ class Light:
 
     def _texel(self, row: DrJitArray, column: DrJitArray) -> DrJitArray:
         return dr.gather(mi.Vector4f, self.values, mi.UInt32(row * self.width + column))
-
-
-def _coordinates(direction: DrJitArray) -> tuple[DrJitArray, DrJitArray]:
-    """(u, v) in [0, 1] of `hir_exporters.conventions.direction_to_latlong_uv`."""
-    u = 0.5 - dr.atan2(direction.x, direction.z) / dr.two_pi
-    v = dr.atan2(dr.sqrt(dr.square(direction.x) + dr.square(direction.z)), direction.y) * dr.inv_pi
-    return dr.clip(u, 0, 1), dr.clip(v, 0, 1)
 
 
 def _invert(cumulative: DrJitArray, start: DrJitArray, count: int, u: DrJitArray) -> tuple[DrJitArray, DrJitArray]:

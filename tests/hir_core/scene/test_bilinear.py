@@ -11,7 +11,6 @@ from hir_core.scene.bilinear import (
     axis_neighbours,
     bilinear_values,
     bilinear_weights,
-    latlong_texels,
     texture_texels,
 )
 
@@ -47,13 +46,6 @@ def test_an_axis_of_one_texel_has_only_that() -> None:
     for border in ("repeat", "clamp", "extend"):
         found = axis_neighbours(torch.tensor([-0.5, 0.0, 0.5]), 1, border)  # type: ignore[arg-type]
         assert found.low.tolist() == found.high.tolist() == [0, 0, 0]
-
-
-def test_a_lat_long_lookup_is_periodic_in_u() -> None:
-    generator = torch.Generator().manual_seed(0)
-    image, v = torch.rand(4, 8, generator=generator).reshape(-1), torch.tensor([0.5])
-    left, right = (latlong_texels(torch.tensor([u]), v, 4, 8) for u in (0.0, 1.0))
-    assert (image[left[0]] * left[1]).sum() == pytest.approx(float((image[right[0]] * right[1]).sum()), abs=1e-6)
 
 
 def test_values_are_those_of_the_weights_and_exact_for_a_constant_image() -> None:

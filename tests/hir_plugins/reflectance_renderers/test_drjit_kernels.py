@@ -1,8 +1,10 @@
-"""Dr.Jit's bilinear lookup, clipped pixels and sRGB against those of torch."""
+"""Dr.Jit's bilinear lookup, clipped pixels and sRGB against those of torch, and its lat-long coordinates."""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from hir_exporters.conventions import direction_to_latlong_uv
 
 from hir_core.optimization.clipped_pixels import without_clipped_excess
 from hir_core.scene.bilinear import axis_neighbours, bilinear_values
@@ -35,6 +37,28 @@ def test_a_lookup_is_the_one_of_torch() -> None:
     neighbours = axis_neighbours(x, 8, "repeat"), axis_neighbours(y, 5, "extend")
     expected = bilinear_values(image.reshape(-1, 1), *neighbours, 8)[:, 0]
     assert torch.allclose(to_torch(found, (COUNT,), CPU), expected, atol=1e-6)
+
+
+def test_directions_beside_the_poles_have_the_coordinates_of_the_conventions() -> None:
+    """acos of the height gives the pole itself within 3e-4 rad."""
+    mi = mitsuba_on("cpu")
+    from hir_plugins.reflectance_renderers.drjit_latlong import latlong_coordinates
+
+    angle = np.array([1e-6, 1e-5, 1e-4, 3e-4, 1e-3])
+    d = np.stack([np.sin(angle), np.cos(angle), 0 * angle]).astype(np.float32)
+    for sign, v in ((1, angle / np.pi), (-1, 1 - angle / np.pi)):
+        found = latlong_coordinates(mi.Vector3f(d[0], sign * d[1], d[2]))[1]
+        assert np.allclose(np.array(found), v, rtol=1e-6, atol=1e-7 if sign < 0 else 0)
+
+
+def test_coordinates_are_those_of_the_conventions() -> None:
+    mi = mitsuba_on("cpu")
+    from hir_plugins.reflectance_renderers.drjit_latlong import latlong_coordinates
+
+    d = np.random.default_rng(0).normal(size=(COUNT, 3)).astype(np.float32)
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    found = latlong_coordinates(mi.Vector3f(*np.ascontiguousarray(d.T)))
+    assert np.allclose(np.array(found).reshape(2, COUNT).T, direction_to_latlong_uv(d), atol=1e-6)
 
 
 def test_clipped_pixels_and_srgb_are_those_of_torch() -> None:

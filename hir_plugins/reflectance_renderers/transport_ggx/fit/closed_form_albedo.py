@@ -78,7 +78,7 @@ class AlbedoEquations:
         return (1 - m) * (self.lookup.transposed @ diffuse) + m * (self.lookup.transposed @ specular)
 
     def normal_product(self, weight: Float[Tensor, "P 3"]) -> NormalProduct:
-        """Of the transpose, `weight` and the left side."""
+        """Of the normal matrix: the transpose of the left side times `weight` times the left side."""
         squares = weight * self.gain * self.gain
 
         def add(x: Tensor, image: Tensor) -> None:

@@ -23,7 +23,7 @@ UPRIGHT = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 """Rotation from a camera's axes to those of a light that moves with it: y up and z backwards, so that the light's image
 is upright."""
 PIXELS_PER_CHUNK = 1 << 13
-"""Pixels whose directions are looked up at a time: 200 bytes a direction, freed again."""
+"""Pixels whose part of the matrix exists at a time where the whole is not needed."""
 
 
 def camera_rotations(capture: Capture, device: torch.device) -> Float[Tensor, "N 3 3"]:
@@ -59,7 +59,7 @@ def _parts(
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Columns and values of the matrix, in chunks of rows."""
     for start in range(0, max(len(points), 1), PIXELS_PER_CHUNK):
-        part = points.part(slice(start, start + PIXELS_PER_CHUNK))
+        part = points.take(slice(start, start + PIXELS_PER_CHUNK))
         yield _rows(transport, part, samples, rotation, seed + start)
 
 

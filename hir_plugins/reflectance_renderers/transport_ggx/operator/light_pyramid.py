@@ -1,4 +1,4 @@
-"""The light as a pyramid of lat-long images, and lookups in it as rows of a sparse matrix.
+"""The light as a pyramid of lat-long images, which `traced_directions` reads.
 
 A sample that represents a cone of directions reads the level whose texels are about as large as the cone, so a wide
 lobe needs few samples (filtered importance sampling, Křivánek & Colbert 2008). Every level is a linear function of the
@@ -46,15 +46,6 @@ class Pyramid:
             blocks = finer.reshape(height, 2, width, 2, -1).mean(dim=3)
             levels.append((blocks * weight[:, :, None, None]).sum(dim=1))
         return torch.cat([level.reshape(-1, radiance.shape[-1]) for level in levels])
-
-
-def latlong(directions: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"]]:
-    """(u, v) of unit directions, v from the top row (docs/conventions.md)."""
-    x, y, z = directions.unbind(-1)
-    u = 0.5 - torch.atan2(x, z) / (2 * math.pi)
-    # near a pole acos loses all digits: within 3e-4 rad every direction would be the pole
-    v = torch.atan2(torch.hypot(x, z), y) / math.pi
-    return u, v
 
 
 def texel_directions(height: int, width: int) -> Float[Tensor, "T 3"]:

@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from hir_plugins.reflectance_renderers.drjit_bilinear import repeated
+from hir_plugins.reflectance_renderers.drjit_latlong import latlong_coordinates
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import (
@@ -75,8 +76,7 @@ def lobe_of(normal: DrJitArray, eye: DrJitArray, level: DrJitArray, coupled: flo
     mirrored = dr.normalize(2 * cosine * normal - eye)
     smooth = 1 - alpha
     dominant = dr.normalize(dr.lerp(normal, mirrored, smooth * (dr.sqrt(dr.maximum(smooth, 0)) + alpha)))
-    u = 0.5 - dr.atan2(dominant.x, dominant.z) / (2 * dr.pi)
-    v = dr.atan2(dr.hypot(dominant.x, dominant.z), dominant.y) / dr.pi
+    u, v = latlong_coordinates(dominant)
     scale, bias = albedo_terms(cosine, alpha)
     if coupled == 0:
         scale, bias = scale + bias, mi.Float(0)

@@ -22,7 +22,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid impo
 from hir_plugins.reflectance_renderers.transport_ggx.operator.traced_directions import DirectionFrames, traced_lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
-PIXELS_PER_CHUNK = 1 << 16
 SCALE_LIMITS = 0.5, 2.0
 """Of the factor that makes the weights of a lobe's directions add up to its albedo."""
 TURN = (math.sqrt(5) - 1) / 2
@@ -113,38 +112,21 @@ def trace_lobes(
     A direction that hits the surface reads the radiance of the cache cell there (`face_cells`: the cell of each face).
     `rotation` (per view) rotates world directions into the light's own frame.
     """
-    parts = []
     alpha = alpha.detach().expand(len(points), 1)
-    for start in range(0, max(len(points), 1), PIXELS_PER_CHUNK):
-        part = slice(start, start + PIXELS_PER_CHUNK)
-        rows = points.part(part)
-        parts.append(_trace(tracer, rows, face_cells, alpha[part], samples, pyramid, offset, rotation, seed + start))
-    found, sources = parts[0], pyramid.texels + cells
-    if len(parts) == 1:
-        return replace(found, sources=sources)
-    joined = {name: torch.cat([getattr(p, name) for p in parts]) for name in _PER_PIXEL}
-    return replace(found, **joined, sources=sources)
-
-
-def _trace(
-    tracer: RayTracer,
-    points: SurfacePoints,
-    face_cells: NDArray[np.int64],
-    alpha: Float[Tensor, "P 1"],
-    samples: int,
-    pyramid: Pyramid,
-    offset: float,
-    rotation: Float[Tensor, "N 3 3"] | None,
-    seed: int,
-) -> Lobes:
-    """The lobes of one chunk of points, without the number of sources."""
     frames, wo = DirectionFrames.of(points, offset), points.to_eye
     local_o = (frames.axes @ wo[..., None])[..., 0]
     n_wo = local_o[:, 2].clamp_min(MIN_EYE_COSINE)
     local_o = torch.nn.functional.normalize(torch.cat([local_o[:, :2], n_wo[:, None]], dim=1), dim=1)
     square = spiral_points(len(points), samples, seed, points.position.device)
     found = traced_lobes(tracer, frames, local_o, alpha, square, face_cells, pyramid, rotation)
-    return Lobes(**found._asdict(), n_wo=n_wo, sampling_alpha=alpha, toward_eye=local_o, axes=frames.axes, sources=0)
+    return Lobes(
+        **found._asdict(),
+        n_wo=n_wo,
+        sampling_alpha=alpha,
+        toward_eye=local_o,
+        axes=frames.axes,
+        sources=pyramid.texels + cells,
+    )
 
 
 def spiral_points(count: int, samples: int, seed: int, device: torch.device) -> Float[Tensor, "P K 2"]:

@@ -17,8 +17,9 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hir_plugins.reflectance_renderers.drjit_arrays import to_float, to_torch, to_torch_integers, to_uint
+from hir_plugins.reflectance_renderers.drjit_arrays import copy_to_torch, to_float, to_uint
 from hir_plugins.reflectance_renderers.drjit_bilinear import AxisNeighbours, extended, repeated
+from hir_plugins.reflectance_renderers.drjit_latlong import latlong_coordinates
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import clamped_alpha, visible_lobe, visible_normal
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
@@ -28,10 +29,13 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface im
 LEVEL_OFFSET = 0.0
 """Directions read the light so many levels coarser than their cone (docs/studies/directions_of_lobes.md)."""
 MIN_DENSITY = 1e-12
+"""Of a direction: its inverse stays finite in float32."""
+MIN_HEMISPHERE_COSINE = 0.05
+"""A direction near the horizon stands for at most the solid angle of one with this cosine."""
 BILINEAR_OF_CELL = 0.25
 """Weight of each of the four equal columns of a direction that hits the surface."""
-MIN_HEMISPHERE_COSINE = 0.05
-"""Directions near the horizon stand for at most this much more than their share of the hemisphere."""
+LANES = 1 << 19
+"""Directions of one launch: bounds its memory at about 50 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +53,10 @@ class DirectionFrames:
         axes = torch.stack([*tangent_frame(points.normal), points.normal], dim=1)
         return cls(points.position + offset * (points.face_normal + points.normal), axes, points.view)
 
+    def part(self, rows: slice) -> DirectionFrames:
+        """Those of a range of the points."""
+        return DirectionFrames(self.origin[rows], self.axes[rows], self.view[rows])
+
 
 class TracedLobes(NamedTuple):
     """K directions of each of P lobes; the fields of `Lobes` of the same names."""
@@ -63,11 +71,15 @@ class TracedLobes(NamedTuple):
     toward_light: Float[Tensor, "P K 3"]
 
     @classmethod
-    def of_no_points(cls, square: Float[Tensor, "P K 2"]) -> TracedLobes:
-        """For P = 0, which a kernel does not take."""
-        value, samples = square[..., 0], square.shape[1]
-        wide = square.reshape(0, 2 * samples).repeat(1, 2)
-        return cls(wide.int(), wide, value, value, value, value, value, square.new_zeros(0, samples, 3))
+    def empty(cls, count: int, samples: int, device: torch.device) -> TracedLobes:
+        """With values that are not set."""
+
+        def unset(*shape: int) -> Tensor:
+            return torch.empty(count, samples, *shape, device=device)
+
+        columns = torch.empty(count, 4 * samples, dtype=torch.int32, device=device)
+        bilinear = torch.empty(count, 4 * samples, device=device)
+        return cls(columns, bilinear, unset(), unset(), unset(), unset(), unset(), unset(3))
 
 
 def traced_lobes(
@@ -86,9 +98,27 @@ def traced_lobes(
     the world into the light's own frame.
     """
     count, samples, _ = square.shape
-    device = frames.origin.device
-    if count == 0:
-        return TracedLobes.of_no_points(square)
+    found = TracedLobes.empty(count, samples, square.device)
+    cells = mi.Int32(face_cells.astype(np.int32))
+    for part in _launches(square):
+        lobes = frames.part(part), toward_eye[part], alpha[part], square[part]
+        for target, values in zip(found, _launched_lobes(tracer, *lobes, cells, pyramid, rotation), strict=True):
+            copy_to_torch(values, target[part])
+    return found
+
+
+def _launched_lobes(
+    tracer: RayTracer,
+    frames: DirectionFrames,
+    toward_eye: Float[Tensor, "P 3"],
+    alpha: Float[Tensor, "P 1"],
+    square: Float[Tensor, "P K 2"],
+    cells: DrJitArray,
+    pyramid: Pyramid,
+    rotation: Float[Tensor, "N 3 3"] | None,
+) -> tuple[DrJitArray, ...]:
+    """The flat arrays of `TracedLobes`."""
+    samples = square.shape[1]
     row, drawn = _rows_and_points(square)
     eye: DrJitArray = dr.gather(mi.Vector3f, to_float(toward_eye, mi), row)
     width = clamped_alpha(dr.gather(mi.Float, to_float(alpha, mi), row))
@@ -100,24 +130,15 @@ def traced_lobes(
     ray = _ray(frames, row, light)
     hit = tracer.scene.ray_intersect_preliminary(ray, coherent=False, active=above)
     blocked = hit.is_valid() & above
-    cell = dr.gather(mi.Int32, mi.Int32(face_cells.astype(np.int32)), hit.prim_index, blocked)
+    cell = dr.gather(mi.Int32, cells, hit.prim_index, blocked)
     columns, weights = light_texels(pyramid, _in_frame_of_light(ray.d, frames, row, rotation), inverse)
     columns = dr.select(blocked, mi.Vector4i(pyramid.texels + cell), columns)
     weights = dr.select(blocked, mi.Vector4f(BILINEAR_OF_CELL), weights)
     inverse = dr.select(above, inverse, 0)
     sine = dr.square(half.x) + dr.square(half.y)
-    flat = dr.ravel(columns), dr.ravel(weights), dr.ravel(light)
-    dr.eval(flat, light.z, half.z, sine, half_eye, inverse)  # one kernel: each result alone would trace the rays again
-    return TracedLobes(
-        to_torch_integers(flat[0], (count, 4 * samples), device),
-        to_torch(flat[1], (count, 4 * samples), device),
-        to_torch(light.z, (count, samples), device),
-        to_torch(half.z, (count, samples), device),
-        to_torch(sine, (count, samples), device),
-        to_torch(half_eye, (count, samples), device),
-        to_torch(inverse, (count, samples), device),
-        to_torch(flat[2], (count, samples, 3), device),
-    )
+    found = dr.ravel(columns), dr.ravel(weights), light.z, half.z, sine, half_eye, inverse, dr.ravel(light)
+    dr.eval(found)  # one kernel: each result that is read alone would trace the rays again
+    return found
 
 
 def traced_hemispheres(
@@ -133,20 +154,40 @@ def traced_hemispheres(
     large as its share of the hemisphere.
     """
     count, samples, _ = square.shape
-    if count == 0:
-        nothing = TracedLobes.of_no_points(square)
-        return nothing.columns, nothing.bilinear
+    columns, weights, *_ = TracedLobes.empty(count, samples, square.device)
+    for part in _launches(square):
+        launched = _launched_hemispheres(tracer, frames.part(part), square[part], pyramid, rotation)
+        for target, values in zip((columns, weights), launched, strict=True):
+            copy_to_torch(values, target[part])
+    return columns, weights
+
+
+def _launched_hemispheres(
+    tracer: RayTracer,
+    frames: DirectionFrames,
+    square: Float[Tensor, "P K 2"],
+    pyramid: Pyramid,
+    rotation: Float[Tensor, "N 3 3"],
+) -> tuple[DrJitArray, DrJitArray]:
+    """Columns and weights as flat arrays."""
+    share = math.pi / square.shape[1]
     row, drawn = _rows_and_points(square)
     radius, cosine = dr.sqrt(drawn.y), dr.safe_sqrt(1 - drawn.y)
     sine_of_turn, cosine_of_turn = dr.sincos(dr.two_pi * drawn.x)
     ray = _ray(frames, row, mi.Vector3f(radius * cosine_of_turn, radius * sine_of_turn, cosine))
-    solid_angle: DrJitArray = dr.rcp(dr.maximum(cosine, MIN_HEMISPHERE_COSINE)) * (math.pi / samples)
+    solid_angle: DrJitArray = dr.rcp(dr.maximum(cosine, MIN_HEMISPHERE_COSINE)) * share
     columns, weights = light_texels(pyramid, _in_frame_of_light(ray.d, frames, row, rotation), solid_angle)
-    weights *= dr.select(tracer.scene.ray_test(ray), mi.Float(0), math.pi / samples)
-    flat = dr.ravel(columns), dr.ravel(weights)
-    dr.eval(flat)
-    shape, device = (count, 4 * samples), frames.origin.device
-    return to_torch_integers(flat[0], shape, device), to_torch(flat[1], shape, device)
+    weights *= dr.select(tracer.scene.ray_test(ray), mi.Float(0), share)
+    found = dr.ravel(columns), dr.ravel(weights)
+    dr.eval(found)
+    return found
+
+
+def _launches(square: Float[Tensor, "P K 2"]) -> list[slice]:
+    """Ranges of points with at most `LANES` directions."""
+    count, samples, _ = square.shape
+    step = max(LANES // samples, 1)
+    return [slice(start, min(start + step, count)) for start in range(0, count, step)]
 
 
 def _rows_and_points(square: Float[Tensor, "P K 2"]) -> tuple[DrJitArray, DrJitArray]:
@@ -178,8 +219,7 @@ def light_texels(pyramid: Pyramid, toward: DrJitArray, solid_angle: DrJitArray) 
 
     Each reads the level of its solid angle.
     """
-    u = 0.5 - dr.atan2(toward.x, toward.z) / (2 * dr.pi)
-    v = dr.atan2(dr.hypot(toward.x, toward.z), toward.y) / dr.pi
+    u, v = latlong_coordinates(toward)
     texel = 2 * math.pi**2 / (pyramid.height * pyramid.width) * dr.maximum(dr.sin(dr.pi * v), 1e-3)
     wanted = 0.5 * dr.log2(dr.maximum(solid_angle / texel, 1e-12)) + LEVEL_OFFSET
     level = mi.UInt32(dr.clip(dr.round(wanted), 0, len(pyramid.shapes) - 1))

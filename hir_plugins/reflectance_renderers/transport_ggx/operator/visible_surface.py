@@ -95,12 +95,8 @@ class SurfacePoints:
         """Cosine between the shading normal and the direction to the camera."""
         return (self.normal * self.to_eye).sum(dim=1)
 
-    def take(self, rows: Tensor) -> SurfacePoints:
-        """The points of `rows`."""
-        return SurfacePoints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
-    def part(self, rows: slice) -> SurfacePoints:
-        """The points of a range, without a copy."""
+    def take(self, rows: Tensor | slice) -> SurfacePoints:
+        """The points of `rows`; of a slice without a copy."""
         return SurfacePoints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def with_normals(self, normal: Float[Tensor, "P 3"]) -> SurfacePoints:

@@ -60,7 +60,7 @@ def agreement(found: tuple[Tensor, Tensor], expected: tuple[Tensor, Tensor]) -> 
     columns, weights = (part.reshape(-1, 4) for part in found)
     true_columns, true_weights = (part.reshape(-1, 4) for part in expected)
     same = (columns == true_columns).all(dim=1)
-    torch.testing.assert_close(weights[same], true_weights[same], atol=2e-3, rtol=1e-3)
+    torch.testing.assert_close(weights[same], true_weights[same], atol=4e-4, rtol=0)
     return float(same.float().mean())
 
 
@@ -72,14 +72,14 @@ def test_lobes_are_those_of_torch(alpha: float, rotated: bool) -> None:
     square = spiral_points(POINTS, DIRECTIONS, 0, torch.device("cpu"))
     arguments = (tracer, frames, eyes(0.05), torch.full((POINTS, 1), alpha), square, cells, PYRAMID, rotation)
     found, expected = traced_lobes(*arguments), torch_directions.lobes(*arguments)
-    assert agreement((found.columns, found.bilinear), (expected.columns, expected.bilinear)) > 0.998
+    assert agreement((found.columns, found.bilinear), (expected.columns, expected.bilinear)) > 0.9995
     assert 0.05 < float((expected.columns >= PYRAMID.texels).float().mean()) < 0.95, "rays hit the ball and miss it"
     for name in ("n_wi", "n_h", "h_wo", "toward_light"):  # within a tenth of the narrowest lobe
-        torch.testing.assert_close(getattr(found, name), getattr(expected, name), atol=1e-4, rtol=0)
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name), atol=7e-5, rtol=0)
     torch.testing.assert_close(found.sin2_h, expected.sin2_h, atol=1e-7, rtol=1e-3)
     lit = (found.inverse_pdf > 0) & (expected.inverse_pdf > 0)
-    assert float(((found.inverse_pdf > 0) == (expected.inverse_pdf > 0)).float().mean()) > 0.999
-    torch.testing.assert_close(found.inverse_pdf[lit], expected.inverse_pdf[lit], atol=0, rtol=2e-3)
+    assert float(((found.inverse_pdf > 0) == (expected.inverse_pdf > 0)).float().mean()) > 0.9995
+    torch.testing.assert_close(found.inverse_pdf[lit], expected.inverse_pdf[lit], atol=0, rtol=2e-6 / alpha)
 
 
 def test_hemispheres_are_those_of_torch() -> None:
@@ -87,9 +87,9 @@ def test_hemispheres_are_those_of_torch() -> None:
     square = spiral_points(POINTS, 96, 0, torch.device("cpu"))
     arguments = tracer, frames, square, PYRAMID, rotations(5)
     found, expected = traced_hemispheres(*arguments), torch_directions.hemispheres(*arguments)
-    assert agreement(found, expected) > 0.998
+    assert agreement(found, expected) > 0.9995
     visible = expected[1].reshape(POINTS, -1).sum(dim=1)
-    torch.testing.assert_close(found[1].sum(dim=1), visible, atol=0.1, rtol=0)
+    torch.testing.assert_close(found[1].sum(dim=1), visible, atol=1.1 * np.pi / 96, rtol=0)  # one direction
     assert float((visible < 0.8 * np.pi).float().mean()) > 0.1 and float(visible.max()) > 0.99 * np.pi
 
 
@@ -99,7 +99,7 @@ def test_hard_cases_are_finite() -> None:
     square = torch.rand(POINTS, DIRECTIONS, 2, generator=torch.Generator().manual_seed(5))
     square[:, 0], square[:, 1], square[:, 2] = 0.0, 1.0, torch.tensor([0.5, 1.0])
     along = torch.tensor([0.0, 0.0, 1.0]).expand(POINTS, 3)
-    for eye in (eyes(0.0).clamp_min(-1), eyes(1e-3), along):
+    for eye in (eyes(0.0), eyes(1e-3), along):
         for alpha in (0.0, 1e-4, 1.0):
             found = traced_lobes(
                 tracer, frames, eye, torch.full((POINTS, 1), alpha), square, cells, PYRAMID, rotations(5)

@@ -18,7 +18,7 @@ from hir_core.scene.bilinear import texture_texels
 from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
-from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, latlong, texel_directions
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import spiral_points
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
@@ -255,12 +255,3 @@ def test_a_specular_map_can_grow_where_one_value_for_all_went_to_zero() -> None:
     for grown in (replace(uniform, specular="map"), replace(uniform, colored=True)):
         fitted = solver.fit(grown, vanished, [0], 1.0, lambda _: None)
         assert float(fitted.parameters.specular_albedo.min()) > 0.02
-
-
-def test_directions_beside_the_poles_have_the_coordinates_of_the_conventions() -> None:
-    """acos of the height gives the pole itself within 3e-4 rad."""
-    angle = np.array([1e-6, 1e-5, 1e-4, 3e-4, 1e-3])
-    d = np.stack([np.sin(angle), np.cos(angle), 0 * angle], axis=1).astype(np.float32)
-    for directions, v in ((d, angle / np.pi), (d * [1, -1, 1], 1 - angle / np.pi)):
-        found = latlong(torch.from_numpy(directions.astype(np.float32)))[1]
-        assert np.allclose(found.numpy(), v, rtol=1e-6, atol=1e-7 if v[0] > 0.5 else 0)

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from hir_core.scene.bilinear import latlong_texels
+from hir_core.scene.bilinear import axis_neighbours, bilinear_weights
 from hir_plugins.reflectance_renderers.brdf_torch import ggx_d
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
-from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, latlong
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
 from hir_plugins.reflectance_renderers.transport_ggx.operator.traced_directions import DirectionFrames, TracedLobes
 
 
@@ -64,7 +64,7 @@ def hemispheres(
         pyramid, in_frame_of_light(world, frames, rotation).reshape(-1, 3), solid_angle.reshape(-1)
     )
     weights = weights * (~hidden * math.pi / samples)[:, None]
-    return columns.reshape(count, -1).int(), weights.reshape(count, -1)
+    return columns.reshape(count, 4 * samples).int(), weights.reshape(count, 4 * samples)
 
 
 def in_frame_of_light(world: Tensor, frames: DirectionFrames, rotation: Tensor | None) -> Tensor:
@@ -87,10 +87,13 @@ def visible_normal(eye: Tensor, alpha: Tensor, square: Tensor) -> Tensor:
 def lookup(pyramid: Pyramid, directions: Tensor, solid_angle: Tensor) -> tuple[Tensor, Tensor]:
     """`light_texels`."""
     shapes = pyramid.shapes
-    u, v = latlong(directions)
+    x, y, z = directions.unbind(-1)
+    u, v = 0.5 - torch.atan2(x, z) / (2 * math.pi), torch.atan2(torch.hypot(x, z), y) / math.pi
     texel = 2 * math.pi**2 / (pyramid.height * pyramid.width) * torch.sin(math.pi * v).clamp_min(1e-3)
     level = (0.5 * torch.log2((solid_angle / texel).clamp_min(1e-12))).round().clamp(0, len(shapes) - 1).long()
     heights, widths = (torch.tensor([shape[axis] for shape in shapes])[level] for axis in range(2))
     first = torch.tensor([0] + [h * w for h, w in shapes]).cumsum(0)[level]
-    index, weight = latlong_texels(u, v, heights, widths)
+    columns = axis_neighbours(u * widths - 0.5, widths, "repeat")
+    rows = axis_neighbours(v * heights - 0.5, heights, "extend")
+    index, weight = bilinear_weights(columns, rows, widths)
     return index + first[:, None], weight
