@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -96,9 +97,10 @@ def test_a_white_light_is_reflected_alike_at_every_width(ratio: float) -> None:
 @pytest.mark.parametrize("model", ["dielectric", "metallic"])
 def test_a_fit_finds_the_width_from_either_side(model: str) -> None:
     """A ball under unknown lamps, photographed by the path tracer, from a third and from three times the true width.
+    Both end where a fit from the true width ends.
 
-    With gradients it ended where it started, because of the noise of directions that were drawn at another width. A
-    narrower lobe under a more blurred light explains the photographs nearly as well, so the truth is found roughly.
+    With gradients it ended where it started, because of the noise of directions that were drawn at another width. The
+    light is unknown, too, so the best width of the dielectric is not the true one: twice the steps end at .29 to .31.
     """
     mesh = ball()
     material = make_material((0.9, 0.7, 0.3), 0.04, 0.2, "dielectric")
@@ -110,9 +112,10 @@ def test_a_fit_finds_the_width_from_either_side(model: str) -> None:
     spec = ModelSpec(model, "uniform", metalness="metal" if model == "metallic" else "none")  # type: ignore[arg-type]
     first = solver.fit(spec, None, range(12), 0.2, lambda share: None)
     found = []
-    for start in (0.07, 0.6):
+    for start in (0.07, 0.6, 0.2):
         moved = replace(first.parameters, width=logit_of_alpha(torch.full((1, 1), start)))
         fit = solver.fit(spec, replace(first, parameters=moved), range(12), 1.0, lambda share: None)
         found.append(float(fit.parameters.alpha))
-    assert found[1] / found[0] == pytest.approx(1, abs=0.4), found
-    assert min(found) / 0.2 > 0.7 and max(found) / 0.2 < 1.5, found
+    from_truth = found.pop()
+    assert max(abs(np.log(alpha / from_truth)) for alpha in found) < np.log(1.15), (found, from_truth)
+    assert min(found) / 0.2 > 0.9 and max(found) / 0.2 < 1.6, found
