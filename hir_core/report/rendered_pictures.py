@@ -37,12 +37,9 @@ VIEWS = 4
 ERROR_SIDE = 512
 """Longest side of a picture of the errors of maps, at most; two stand side by side."""
 
-FEW_SAMPLES = 64
-"""Paths per pixel of each of two renders. They suffice where their noise is small against the error of the fit."""
-MAX_PAIRS = 2
-"""Pairs of such renders, at most: 256 paths per pixel of the picture."""
-MAX_NOISE_SHARE = 0.15
-"""Share of noise in the squared error up to which a pair suffices."""
+SAMPLES = 64
+"""Paths per pixel of each of two renders with independent noise. A picture is their mean; the product of their errors,
+from which the figures are, has no noise."""
 
 SMALL_SIDE = 192
 """Approximate maximum side of the renders of intermediate stages, which are measured and not shown."""
@@ -58,7 +55,6 @@ def write_pictures(
     on_message: Callable[[str], None] | None = None,
     *,
     reduced_side: int | None = None,
-    max_noise_share: float = MAX_NOISE_SHARE,
 ) -> dict[str, Any]:
     """Replaces the PNG files of `report/` and returns their description for views.json.
 
@@ -75,7 +71,7 @@ def write_pictures(
             _write_asset_pictures(folder, directory.scene)
         return {"views": [], "stages": {}, "side": reduced_side}
     capture = run.views_of_split(run.capture_path, "train", plugins)
-    tracer = _PathTracer(run, plugins, max_noise_share)
+    tracer = _PathTracer(run, plugins)
     views: list[dict[str, Any]] = []
     measured: list[tuple[MaskedPhotograph, Camera, Image]] = []
     with atomic_directory(directory.report) as folder:
@@ -87,7 +83,7 @@ def write_pictures(
                 continue
             factor = max(1, max(capture.cameras[i].width, capture.cameras[i].height) // reduced_side)
             camera, truth = capture.cameras[i].downsampled(factor), masked_photograph(view).downsampled(factor)
-            pair = tracer.pair(camera, view, truth)
+            pair = tracer.pair(camera, view)
             measured.append((truth, camera, _middle(pair)))
             size = {"measured_at": [camera.width, camera.height]} if factor > 1 else {}
             views.append({"name": view.name} | _view_pictures(folder, file_stem(view.name), pair, truth) | size)
@@ -124,38 +120,22 @@ def _write_asset_pictures(folder: Path, scene: Path) -> None:
 
 
 class _PathTracer:
-    """Renders the scene of a run with as many samples as its pictures need."""
+    """Renders the scene of a run."""
 
-    def __init__(self, run: FinishedRun, plugins: PluginManager, max_noise_share: float) -> None:
-        self._in_take, self._max_noise_share = cache(run.scene.in_take), max_noise_share
+    def __init__(self, run: FinishedRun, plugins: PluginManager) -> None:
+        self._in_take = cache(run.scene.in_take)
         _, self._renderer = reference_renderer(
-            plugins, bounces=run.bounces, max_samples=FEW_SAMPLES, light=run.scene.environment
+            plugins, bounces=run.bounces, max_samples=SAMPLES, light=run.scene.environment
         )
 
-    def pair(self, camera: Camera, view: View, truth: MaskedPhotograph) -> tuple[Image, Image]:
-        """Two renders (H, W, 4) with independent noise; where that is too large, means of `MAX_PAIRS` renders each."""
-        first, second = self._rendered(camera, view, ", first"), self._rendered(camera, view, ", second")
-        for done in range(1, MAX_PAIRS):
-            if noise_share(first, second, truth) <= self._max_noise_share:
-                break
-            further = (self._rendered(camera, view, f", {which} of pair {done + 1}") for which in ("first", "second"))
-            first, second = (
-                before + (more - before) / np.float32(done + 1)
-                for before, more in zip((first, second), further, strict=True)
-            )
-        return first, second
+    def pair(self, camera: Camera, view: View) -> tuple[Image, Image]:
+        """Two renders (H, W, 4) with independent noise."""
+        return self._rendered(camera, view, ", first"), self._rendered(camera, view, ", second")
 
     def _rendered(self, camera: Camera, view: View, label: str) -> Image:
         fit = render_view(self._renderer, self._in_take(view.take), camera, view.name + label)
         fit[..., :3] *= view.gain
         return fit
-
-
-def noise_share(first: Image, second: Image, truth: MaskedPhotograph) -> float:
-    """Share of noise in the squared error of the mean of two renders (H, W, 4); 1 where the error is 0."""
-    one, other = (composite(*unassociate(half)) for half in (first, second))
-    noise, error = float(np.square(one - other).mean()) / 4, float(np.square((one + other) / 2 - truth.picture).mean())
-    return noise / error if error > 0 else 1.0
 
 
 def stage_psnr(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -40,9 +41,10 @@ BYTES_PER_PIXEL = 7
 class DetailImages:
     """The detail of every view at one resolution, padded to one size."""
 
-    images: Float[Tensor, "N 3 H W"]
+    images: Float[Tensor, "N H W 3"]
     """float16: as precise as the photographs, and half the memory."""
-    inside: Bool[Tensor, "N H W"]
+    square_inside: Bool[Tensor, "N H W"]
+    """Whether a pixel and those to its right, below it and below to the right are inside the object."""
     pixels: tuple[NDArray[np.int32], ...]
     """For each view, the (x, y) of pixels whose whole window lies inside the object."""
     cameras: tuple[Camera, ...]
@@ -53,15 +55,29 @@ class DetailImages:
         """Reads the photographs; a view without a mask counts as covered everywhere. `device` holds the images."""
         cameras = tuple(view.camera.downsampled(downsample) for view in views if view.camera is not None)
         height, width = max(c.height for c in cameras), max(c.width for c in cameras)
-        images = torch.zeros(len(views), 3, height, width, dtype=torch.float16, device=device)
-        inside = torch.zeros(len(views), height, width, dtype=torch.bool, device=device)
+        images = torch.zeros(len(views), height, width, 3, dtype=torch.float16, device=device)
+        square_inside = torch.zeros(len(views), height, width, dtype=torch.bool, device=device)
         pixels = []
         for i, view in enumerate(views):  # one at a time: float32 copies of all views would take twice the memory
             detail, mask = detail_image(view, downsample)
             h, w = mask.shape
-            images[i, :, :h, :w], inside[i, :h, :w] = detail.half().to(device), mask.to(device)
+            images[i, :h, :w] = detail.half().permute(1, 2, 0).to(device)
+            square = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1] & mask[1:, 1:]
+            square_inside[i, : h - 1, : w - 1] = square.to(device)
             pixels.append(np.argwhere(mask.numpy())[:, ::-1].astype(np.int32))
-        return cls(images, inside, tuple(pixels), cameras, tuple(view.name for view in views))
+        return cls(images, square_inside, tuple(pixels), cameras, tuple(view.name for view in views))
+
+    @cached_property
+    def centers(self) -> Float[Tensor, "N 3"]:
+        """Positions of the cameras."""
+        centers = np.stack([camera.center for camera in self.cameras]).astype(np.float32)
+        return torch.from_numpy(centers).to(self.images.device)
+
+    @cached_property
+    def projections(self) -> Float[Tensor, "N 3 4"]:
+        """From homogeneous positions to homogeneous pixel coordinates."""
+        matrices = np.stack([camera.intrinsics @ camera.world_to_camera[:3] for camera in self.cameras])
+        return torch.from_numpy(matrices.astype(np.float32)).to(self.images.device)
 
 
 def finest_downsample(views: Sequence[View], downsample: int) -> int:

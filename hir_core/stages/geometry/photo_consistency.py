@@ -104,20 +104,19 @@ def photo_consistency_residuals(
     cosine = (normal * direction).sum(1)
     facing = cosine.detach() < -LEAST_COSINE
     points = origin + ((normal * (a - origin)).sum(1) / torch.where(facing, cosine, -1.0))[:, None] * direction
+    other = torch.from_numpy(pairs.other[rows]).to(device)
     with torch.no_grad():
-        centers = np.stack([camera.center for camera in details.cameras]).astype(np.float32)
-        to_other = normalize(torch.from_numpy(centers[pairs.other[rows]]).to(positions) - points, dim=1, eps=1e-30)
+        to_other = normalize(details.centers[other].to(positions) - points, dim=1, eps=1e-30)
         seen = facing & ((normal * to_other).sum(1) > LEAST_COSINE) & torch.isfinite(points).all(dim=1)
         # from the surface of the tracer: the present one may lie behind it
         hit = origin + torch.from_numpy(distance[rows, None]).to(positions) * direction
         start = torch.where(seen[:, None], hit + SHADOW_RAY_OFFSET * normal, 0.0).cpu().numpy()
         seen &= ~torch.from_numpy(tracer.occluded(start, to_other.cpu().numpy())).to(device)
-    points, rows = points[seen], rows[seen.cpu().numpy()]
-    pixels = _project(details.cameras, points, pairs.other[rows])
-    detail, within = _bilinear_detail(details, pixels, torch.from_numpy(pairs.other[rows]).to(device))
+    points, other, rows = points[seen], other[seen], rows[seen.cpu().numpy()]
+    detail, within = _bilinear_detail(details, _project(details, points, other), other)
     rows = rows[within.cpu().numpy()]
     x, y = pairs.pixel[rows].T
-    own = details.images[torch.from_numpy(pairs.view[rows]), :, torch.from_numpy(y), torch.from_numpy(x)]
+    own = details.images[torch.from_numpy(pairs.view[rows]), torch.from_numpy(y), torch.from_numpy(x)]
     return detail - own.to(detail), rows
 
 
@@ -135,9 +134,8 @@ def _rays(cameras: Sequence[Camera], pairs: PixelPairs) -> tuple[NDArray[np.floa
     return origins, directions
 
 
-def _project(cameras: Sequence[Camera], points: Float[Tensor, "Q 3"], view: NDArray[np.int64]) -> Float[Tensor, "Q 2"]:
-    matrices = np.stack([camera.intrinsics @ camera.world_to_camera[:3] for camera in cameras]).astype(np.float32)
-    matrix = torch.from_numpy(matrices[view]).to(points)
+def _project(details: DetailImages, points: Float[Tensor, "Q 3"], view: Int[Tensor, " Q"]) -> Float[Tensor, "Q 2"]:
+    matrix = details.projections[view].to(points)
     homogeneous = (matrix[:, :, :3] @ points[..., None])[..., 0] + matrix[:, :, 3]
     depth = homogeneous[:, 2:]
     return homogeneous[:, :2] / torch.where(depth.abs() < 1e-12, 1e-12, depth)
@@ -149,18 +147,19 @@ def _bilinear_detail(
     """Bilinear detail at pixel coordinates (centres at .5), differentiable in them, and for which of them: those whose
     four pixels all lie inside the object.
     """
-    _, _, height, width = details.images.shape
+    _, height, width, _ = details.images.shape
     corner = (pixels.detach() - 0.5).floor()
     within = ((corner >= 0) & (corner < torch.tensor([width - 1, height - 1], device=pixels.device))).all(dim=1)
     x, y = torch.where(within[:, None], corner, 0.0).long().unbind(1)
-    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        within = within & details.inside[view, (y + dy).clamp_max(height - 1), (x + dx).clamp_max(width - 1)]
-    pixels, x, y, view = pixels[within], x[within], y[within], view[within]
+    first = (view * height + y) * width + x
+    within &= details.square_inside.view(-1)[first]
+    pixels, x, y, first = pixels[within], x[within], y[within], first[within]
     fx, fy = (pixels - 0.5 - torch.stack([x, y], dim=1)).unbind(1)
+    images = details.images.view(-1, 3)
 
-    def at(dx: int, dy: int) -> Tensor:
-        return details.images[view, :, y + dy, x + dx].to(pixels)
+    def at(step: int) -> Tensor:
+        return images.index_select(0, first + step).to(pixels)
 
-    top = at(0, 0) * (1 - fx)[:, None] + at(1, 0) * fx[:, None]
-    bottom = at(0, 1) * (1 - fx)[:, None] + at(1, 1) * fx[:, None]
+    top = at(0) * (1 - fx)[:, None] + at(1) * fx[:, None]
+    bottom = at(width) * (1 - fx)[:, None] + at(width + 1) * fx[:, None]
     return top * (1 - fy)[:, None] + bottom * fy[:, None], within

@@ -93,7 +93,7 @@ def test_large_photographs_are_shown_and_measured_reduced(finished: Run, tmp_pat
 
 
 def test_few_samples_give_the_figures_of_many(finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Further renders go on where the first ones ended."""
+    """Each view is rendered twice, with independent noise, which the figures then do not contain."""
     shutil.copytree(finished.path, tmp_path / "run")
     directory, plugins = RunDirectory(tmp_path / "run"), PluginManager.discover()
     labels: list[str] = []
@@ -104,12 +104,11 @@ def test_few_samples_give_the_figures_of_many(finished: Run, tmp_path: Path, mon
 
     monkeypatch.setattr(rendered_pictures, "render_view", rendered)
     found = {}
-    for name, max_noise_share in (("few", 1.0), ("many", -1.0)):
-        pictures = rendered_pictures.write_pictures(directory, plugins, max_noise_share=max_noise_share)
-        found[name] = pictures["views"]
-    pairs = 1 + rendered_pictures.MAX_PAIRS
-    assert len(labels) == len(set(labels)) + 2 * len(found["few"]) == 2 * pairs * len(found["few"])
-    for few, many in zip(found["few"], found["many"], strict=True):
+    for samples in (32, 256):
+        monkeypatch.setattr(rendered_pictures, "SAMPLES", samples)
+        found[samples] = rendered_pictures.write_pictures(directory, plugins)["views"]
+    assert len(set(labels)) == 2 * len(found[32]) and len(labels) == 2 * len(set(labels))
+    for few, many in zip(found[32], found[256], strict=True):
         assert few["object"] != many["object"], "both are the same renders"
         assert few["object"] == pytest.approx(many["object"], abs=0.15)
         assert few["frame"] == pytest.approx(many["frame"], abs=0.15)
