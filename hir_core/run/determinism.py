@@ -34,16 +34,13 @@ def determinism(deterministic: bool) -> Iterator[None]:
 
     before, count = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
     warn_only = torch.is_deterministic_algorithms_warn_only_enabled()
-    changed = deterministic or before  # torch imports its compiler to set this, which takes three seconds
-    if changed:
-        torch.use_deterministic_algorithms(deterministic, warn_only=True)
+    torch.use_deterministic_algorithms(deterministic, warn_only=True)
     if deterministic:
         torch.set_num_threads(1)
     try:
         yield
     finally:
-        if changed:
-            torch.use_deterministic_algorithms(before, warn_only=warn_only)
+        torch.use_deterministic_algorithms(before, warn_only=warn_only)
         torch.set_num_threads(count)
         if deterministic and not before and "drjit" in sys.modules:
             sys.modules["drjit"].set_thread_count(usable_cores())  # ray tracing components set it to 1
