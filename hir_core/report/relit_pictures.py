@@ -31,7 +31,8 @@ TURN_DEGREES = 120.0
 """The light of the fit is turned by this about the vertical."""
 SIDE = 512
 """Longest side of the pictures, at most."""
-SAMPLES = 64
+SAMPLES = 128
+"""Paths per pixel of each picture, as many as the two renders of a photograph's view have together."""
 
 SCAN, VERTICES = "scan", "vertices"
 """Where the texture is from: from the file of the scan, or from the photographs at the vertices."""

@@ -38,8 +38,8 @@ ERROR_SIDE = 512
 """Longest side of a picture of the errors of maps, at most; two stand side by side."""
 
 SAMPLES = 64
-"""Paths per pixel of each of two renders with independent noise. A picture is their mean; the product of their errors,
-from which the figures are, has no noise."""
+"""Paths per pixel of each of two renders. A picture is their mean. The figures are means of the product of their
+errors, in which independent noise cancels."""
 
 SMALL_SIDE = 192
 """Approximate maximum side of the renders of intermediate stages, which are measured and not shown."""

@@ -110,8 +110,8 @@ def test_few_samples_give_the_figures_of_many(finished: Run, tmp_path: Path, mon
     assert len(set(labels)) == 2 * len(found[32]) and len(labels) == 2 * len(set(labels))
     for few, many in zip(found[32], found[256], strict=True):
         assert few["object"] != many["object"], "both are the same renders"
-        assert few["object"] == pytest.approx(many["object"], abs=0.15)
-        assert few["frame"] == pytest.approx(many["frame"], abs=0.15)
+        assert few["object"] == pytest.approx(many["object"], abs=0.08)
+        assert few["frame"] == pytest.approx(many["frame"], abs=0.08)
 
 
 def test_metalness_is_shown_where_the_asset_has_it(tmp_path: Path) -> None:

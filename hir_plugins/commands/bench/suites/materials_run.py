@@ -31,7 +31,7 @@ from hir_plugins.commands.bench.results.materials_summary import RELIT, UNSEEN
 EVALUATED_VIEWS: Final = 6
 """Of each split."""
 PATHS_PER_PIXEL: Final = 256
-"""As `hir evaluate`. The noise of 64 costs 0.8 to 1.1 dB of a good fit on the object."""
+"""As `hir evaluate`. The noise of 64 takes up to 1 dB from a good fit (docs/studies/remaining_error.md)."""
 
 
 @dataclass(frozen=True)

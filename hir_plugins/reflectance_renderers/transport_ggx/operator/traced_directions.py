@@ -77,9 +77,7 @@ class TracedLobes(NamedTuple):
         def unset(*shape: int) -> Tensor:
             return torch.empty(count, samples, *shape, device=device)
 
-        columns = torch.empty(count, 4 * samples, dtype=torch.int32, device=device)
-        bilinear = torch.empty(count, 4 * samples, device=device)
-        return cls(columns, bilinear, unset(), unset(), unset(), unset(), unset(), unset(3))
+        return cls(*_empty_texels(count, samples, device), unset(), unset(), unset(), unset(), unset(), unset(3))
 
 
 def traced_lobes(
@@ -154,7 +152,7 @@ def traced_hemispheres(
     large as its share of the hemisphere.
     """
     count, samples, _ = square.shape
-    columns, weights, *_ = TracedLobes.empty(count, samples, square.device)
+    columns, weights = _empty_texels(count, samples, square.device)
     for part in _launches(square):
         launched = _launched_hemispheres(tracer, frames.part(part), square[part], pyramid, rotation)
         for target, values in zip((columns, weights), launched, strict=True):
@@ -181,6 +179,14 @@ def _launched_hemispheres(
     found = dr.ravel(columns), dr.ravel(weights)
     dr.eval(found)
     return found
+
+
+def _empty_texels(
+    count: int, samples: int, device: torch.device
+) -> tuple[Int[Tensor, "P 4*K"], Float[Tensor, "P 4*K"]]:
+    """Columns and weights of four texels for each direction, with values that are not set."""
+    columns = torch.empty(count, 4 * samples, dtype=torch.int32, device=device)
+    return columns, torch.empty(count, 4 * samples, device=device)
 
 
 def _launches(square: Float[Tensor, "P K 2"]) -> list[slice]:
