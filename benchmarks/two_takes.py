@@ -1,14 +1,16 @@
 """Two takes of an object under two lights, the second one upside down, against one take of as many photographs.
 
-    python -m benchmarks.two_takes RECIPE… --workspace DIR [--runs one two] [--side 192] [--texture fine] [--store FILE]
+    python -m benchmarks.two_takes RECIPE… --workspace DIR [--runs one two] [--side 192] [--photographs 40]
+        [--texture fine] [--store FILE]
     python -m benchmarks.two_takes --table FILE
 
 For each object of the materials benchmark: photographs from above alone, as of an object that stands on a table; and
 half of them from above and half of the object turned over, under another light. Both captures are reconstructed with
 the default settings and evaluated from all sides under two other lights. Rendered by Mitsuba's path tracer with the
 `principled` BSDF; the table is not there. The run `estimated` reconstructs the two takes with cameras from structure
-from motion on the masked photographs; use more pixels and `--texture fine` then, because the materials of the benchmark
-have few features. One line is stored for each run, with commit, date and machine.
+from motion on the masked photographs; use more pixels, more photographs and `--texture fine` then, because the
+materials of the benchmark have few features, and 20 photographs of a take are 20° apart. One line is stored for each
+run, with commit, date and machine.
 """
 
 from __future__ import annotations
@@ -77,6 +79,7 @@ def main() -> None:
     world = [each.name for each in recipes() if LIGHTS[each.light].frame == "world"]
     parser.add_argument("recipes", nargs="*", choices=[*world, []], metavar="RECIPE")
     parser.add_argument("--side", type=int, default=SIDE, help="pixels of a photograph")
+    parser.add_argument("--photographs", type=int, default=PHOTOGRAPHS, help="of a capture; a take has half of them")
     parser.add_argument("--runs", nargs="+", choices=RUNS, default=["one", "two"])
     parser.add_argument("--texture", choices=TEXTURES, default="coarse", help="detail of the base colour")
     parser.add_argument("--evaluate-only", action="store_true", help="evaluate runs of before again, fit nothing")
@@ -87,7 +90,7 @@ def main() -> None:
     for recipe in (each for each in recipes() if each.name in given.recipes):
         folder = given.workspace / (recipe.name if given.texture == "coarse" else f"{recipe.name}_{given.texture}")
         if not (folder / "two" / "transforms_train.json").exists():
-            make_captures(recipe, folder, given.side, given.texture)
+            make_captures(recipe, folder, given.side, given.texture, given.photographs)
         for seed in () if given.make_only else given.seeds:
             for name in given.runs:
                 if not given.evaluate_only:
@@ -95,7 +98,9 @@ def main() -> None:
                 add_rows(given.store, [measured(recipe, folder, seed, name) | {"texture": given.texture}])
 
 
-def make_captures(recipe: Recipe, folder: Path, side: int = SIDE, texture: str = TEXTURES[0]) -> None:
+def make_captures(
+    recipe: Recipe, folder: Path, side: int = SIDE, texture: str = TEXTURES[0], photographs: int = PHOTOGRAPHS
+) -> None:
     """`one` and `two`: captures with the same object, lights of evaluation and test views."""
     import mitsuba as mi
 
@@ -116,16 +121,16 @@ def make_captures(recipe: Recipe, folder: Path, side: int = SIDE, texture: str =
             render_view(mi, mesh, surface, image, False, 0.0, pose, side, SAMPLES, i) for i, pose in enumerate(poses)
         ]
 
-    above = [from_above(i, PHOTOGRAPHS) for i in range(PHOTOGRAPHS)]
-    half = [from_above(i, PHOTOGRAPHS // 2) for i in range(PHOTOGRAPHS // 2)]
+    above = [from_above(i, photographs) for i in range(photographs)]
+    half = [from_above(i, photographs // 2) for i in range(photographs // 2)]
     below = [TURNED_OVER @ pose for pose in half]
     tested = [from_above(i, TESTED, 0.37) for i in range(TESTED)]
     around = [from_above(i, RELIT // 2, 0.61) for i in range(RELIT // 2)]
     around += [TURNED_OVER @ pose for pose in around]
-    photographs = {"one": [(TAKES[0], above)], "two": [(TAKES[0], half), (TAKES[1], below)]}
+    takes_of = {"one": [(TAKES[0], above)], "two": [(TAKES[0], half), (TAKES[1], below)]}
     relit = {name: rendered(name, around) for name in RELIGHTS}
     strengths = {name: recipe.exposure / bright_value(images) for name, images in relit.items()}
-    for name, takes in photographs.items():
+    for name, takes in takes_of.items():
         capture = folder / name
         shutil.rmtree(capture, ignore_errors=True)
         capture.mkdir(parents=True)
@@ -219,6 +224,7 @@ def measured(recipe: Recipe, folder: Path, seed: int, name: str) -> dict[str, An
         "seed": seed,
         "run": name,
         "side": around.cameras[0].width,
+        "photographs": len(json.loads((capture / "transforms_train.json").read_text())["frames"]),
         "seconds": round(sum(float(stage["seconds"]) for stage in timings["stages"].values()), 1),
         "model": finished.document["stages"]["reflectance"]["report"]["model"],
         "unseen": found["test"]["psnr"],
@@ -265,16 +271,17 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     deviations over the objects at the end. What was not run has a dash.
     """
     lines = [
-        "| object | texture | pixels | seed | unseen | relit, scaled (mean of two lights) | base colour, scaled | "
-        "complete | underside |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| object | texture | pixels | photographs | seed | unseen | relit, scaled (mean of two lights) | "
+        "base colour, scaled | complete | underside |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     forms = ".1f", ".1f", ".1f", ".3f", ".3f"
-    groups: dict[tuple[str, str, int, int], dict[str, dict[str, Any]]] = {}
+    groups: dict[tuple[str, str, int, int, int], dict[str, dict[str, Any]]] = {}
     for row in rows:
-        groups.setdefault((row["recipe"], row["texture"], row["side"], row["seed"]), {})[row["run"]] = row
+        key = row["recipe"], row["texture"], row["side"], row["photographs"], row["seed"]
+        groups.setdefault(key, {})[row["run"]] = row
     gains = []
-    for (recipe, texture, side, seed), group in sorted(groups.items()):
+    for (recipe, texture, side, photographs, seed), group in sorted(groups.items()):
         figures = {name: _values(row) for name, row in group.items()}
         if "one" in figures and "two" in figures:
             gains.append(figures["two"] - figures["one"])
@@ -282,11 +289,11 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         for i, form in enumerate(forms):
             one, two, estimated = (f"{figures[name][i]:{form}}" if name in figures else "–" for name in RUNS)
             cells.append(f"{one} → {two}" + (f" ({estimated})" if "estimated" in figures else ""))
-        lines.append(f"| {recipe} | {texture} | {side} | {seed} | " + " | ".join(cells) + " |")
+        lines.append(f"| {recipe} | {texture} | {side} | {photographs} | {seed} | " + " | ".join(cells) + " |")
     if len(gains) > 1:
         mean, deviation = np.mean(gains, axis=0), np.std(gains, axis=0, ddof=1)
         cells = [f"{m:+.2f} ± {s:.2f}" for m, s in zip(mean, deviation, strict=True)]
-        lines.append("| two − one | | | | " + " | ".join(cells) + " |")
+        lines.append("| two − one | | | | | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
