@@ -89,6 +89,7 @@ def _described(hollow: Hollow, voxel: float) -> dict[str, object]:
     return {
         "depth": round(hollow.depth * voxel, 5),
         "explained_before": round(hollow.explained_before, 4),
+        "explained_by_reflection": round(hollow.explained_by_reflection, 4),
         "explained": round(hollow.explained, 4),
         "explained_from_far": round(hollow.explained_from_far, 4),
         "gain_in_standard_errors": round(hollow.gain, 2),

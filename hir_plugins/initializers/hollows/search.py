@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from hir_plugins.initializers.hollows.photo_prediction import (
     color_variance,
     prediction_errors,
 )
+from hir_plugins.initializers.hollows.reflection import reflection_errors
 from hir_plugins.initializers.hollows.sunk_volume import Solid, reach, sunk, wall_distance
 from hir_plugins.initializers.surface.isosurface import extract_surface
 from hir_plugins.initializers.surface.volume import Volume
@@ -42,7 +43,7 @@ CONFIDENCE = 0.95
 """That a hollow explains more than the surface before it, by Student's t over photographs."""
 
 HALF_OF_REST = 0.5
-"""Share that a hollow must explain of the variance that the surface before it leaves."""
+"""Share that a hollow must explain of the variance that the surface before it, or its reflections, leave."""
 
 LEAST_VIEWS, LEAST_PIXELS, MOST_PIXELS = 6, 12, 80
 """Photographs that look into an opening; pixels of each."""
@@ -85,6 +86,8 @@ class Hollow:
     wall: Floats
     """Distance to the outside (X, Y, Z), the opening closed."""
     explained_before: float
+    explained_by_reflection: float
+    """By the surface before it, if it is a mirror or a rough metal."""
     explained: float
     """Share of the variance of the pixels that look into the opening, by all photographs."""
     explained_from_far: float
@@ -100,11 +103,11 @@ class Hollow:
         no noise."""
         deep = self.depth >= LEAST_DEPTH * float(self.opening.region.sum()) ** 0.5
         least, least_from_far = (HALF_OF_VARIANCE, THIRD_OF_VARIANCE) if deep else WELL_EXPLAINED
-        rest = 1 - self.explained_before
+        otherwise = max(self.explained_before, self.explained_by_reflection)
         return (
             self.explained >= least
             and self.explained_from_far >= least_from_far
-            and self.explained - self.explained_before >= HALF_OF_REST * rest
+            and self.explained - otherwise >= HALF_OF_REST * (1 - otherwise)
             and self.gain >= float(stdtrit(self.views - 1, (1 + CONFIDENCE) / 2))
         )
 
@@ -125,12 +128,21 @@ class _Window:
     def errors(
         self, surface: MeshQueries, photographs: Sequence[BlurredPhotograph], lift: float, least_degrees: float = 0.0
     ) -> Floats:
-        """Mean squared error (V,) of each photograph's pixels. Those that nothing predicts do not count, but for more
-        than `MOST_UNKNOWN` of a photograph, which count as unexplained.
+        """Mean squared error (V,) of each photograph's pixels, predicted by what others show at the same points."""
+        return self._means(prediction_errors(self.pixels, surface, photographs, lift, least_degrees))
+
+    def errors_of_reflections(
+        self, volume: Volume, surface: MeshQueries, photographs: Sequence[BlurredPhotograph]
+    ) -> Floats:
+        """The same, predicted by what others show in the same mirror directions."""
+        return self._means(reflection_errors(self.pixels, volume, surface, photographs))
+
+    def _means(self, errors: Mapping[int, Floats]) -> Floats:
+        """Of the pixels of each photograph (V,). Those that nothing predicts do not count, but for more than
+        `MOST_UNKNOWN` of a photograph, which count as unexplained.
         """
-        found = prediction_errors(self.pixels, surface, photographs, lift, least_degrees)
         means = []
-        for i, error in found.items():
+        for i, error in errors.items():
             unknown = float(np.isnan(error).mean())
             excess = max(0.0, unknown - MOST_UNKNOWN)
             known = error[~np.isnan(error)]
@@ -171,7 +183,7 @@ def _find_hollow(volume: Volume, solid: Solid, photographs: Sequence[BlurredPhot
             return None
         before = window.errors(surface, photographs, LIFT * volume.spacing)
         wall = wall_distance(solid, opening.grown(max(FIRST_STEPS)))
-        return _Search(volume, photographs, window, before, wall)
+        return _Search(volume, surface, photographs, window, before, wall)
 
     searches = []
     for opening in find_openings(volume, cells, variance, count >= 4)[:CANDIDATES]:
@@ -248,6 +260,7 @@ class _Search:
     """Depths and outlines of one opening."""
 
     volume: Volume
+    surface: MeshQueries
     photographs: Sequence[BlurredPhotograph]
     window: _Window
     before: Floats
@@ -303,11 +316,13 @@ class _Search:
         saved = self.before - found.errors
         noise = float(saved.std(ddof=1)) / len(saved) ** 0.5
         far = self.sunk(found.opening, found.depth, DISTANT_DEGREES)
+        reflected = self.window.errors_of_reflections(self.volume, self.surface, self.photographs)
         return Hollow(
             found.opening,
             found.depth,
             self.wall,
             self.explained(_Sunk(found.opening, 0.0, self.before)),
+            self.explained(_Sunk(found.opening, 0.0, reflected)),
             self.explained(found),
             self.explained(far),
             float(saved.mean()) / max(noise, 1e-12),

@@ -23,10 +23,12 @@ from hir_plugins.initializers.hollows.photo_prediction import (
     color_variance,
     prediction_errors,
 )
+from hir_plugins.initializers.hollows.reflection import reflection_errors
 from hir_plugins.initializers.hollows.search import find_hollows
 from hir_plugins.initializers.hollows.sunk_volume import WALL, Solid, reach, sunk, wall_distance
 from hir_plugins.initializers.hull.visual_hull import VisualHull
 from hir_plugins.initializers.options import HollowsOptions, VisualHullOptions
+from hir_plugins.initializers.surface.swept_surface import SweptSurface, signed_distance_volume
 from hir_plugins.initializers.surface.volume import Volume
 from tests.fixtures.silhouette_captures import dome, make_view
 from tests.hir_plugins.initializers.test_stereo import rays_of
@@ -109,6 +111,7 @@ def test_a_cup_is_hollow(sectors: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert height_inside(hull) > 0.3
     scene, hollows = hollowed(capture, hull)
     assert hollows[0]["explained"] > 0.6 > 0.2 > hollows[0]["explained_before"]
+    assert hollows[0]["explained_by_reflection"] < 0.2
     assert height_inside(scene) < -0.15, "the floor is at -0.3"
     queries = MeshQueries(np.asarray(cup().vertices), np.asarray(cup().faces))
     new = MeshQueries(scene.mesh.positions.double().numpy(), scene.mesh.faces.numpy())
@@ -117,6 +120,36 @@ def test_a_cup_is_hollow(sectors: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (new.signed_distance(0.36 * ring) > 0).mean() > 0.8, "0.14 inside the wall, in nearly all directions"
     assert (new.signed_distance(0.56 * ring) < 0).mean() > 0.9, "the wall stays"
     assert queries.nearest(scene.mesh.positions.double().numpy())[0].mean() < 0.04
+
+
+def lit_metal(points: Array, toward: Array) -> Array:
+    """A ball of metal under four lamps: what it shows depends on the mirror direction."""
+    normal = points / np.linalg.norm(points, axis=1, keepdims=True)
+    mirrored = 2 * (normal * toward).sum(axis=1, keepdims=True) * normal - toward
+    lamps = np.array([[0.8, 0.6, 0.0], [-0.5, 0.7, 0.5], [0.0, 0.3, -0.95], [0.1, 1.0, 0.2]])
+    lamps /= np.linalg.norm(lamps, axis=1, keepdims=True)
+    return np.asarray(0.1 + 0.6 * np.exp(12 * (mirrored @ lamps.T - 1)).sum(axis=1))
+
+
+def test_reflections_explain_a_metal_and_no_opening() -> None:
+    """Shares of the variance, of the pixels that look at the upper half of a ball, and into a cup with a lid."""
+    explained = {}
+    for name, mesh, paint in (("metal", trimesh.creation.icosphere(4, 0.6), lit_metal), ("cup", cup(), painted)):
+        capture = photographed(mesh, paint)
+        hull = hull_of(capture)
+        vertices = hull.mesh.positions.double().numpy()
+        volume = signed_distance_volume(SweptSurface(vertices, hull.mesh.faces.numpy()), vertices, 1.2 / 64)
+        seen = blurred_photographs(capture, volume.spacing)
+        pixels = {i: np.argwhere(np.tril(photograph.valid))[::9, ::-1] for i, photograph in enumerate(seen)}
+        found = reflection_errors(pixels, volume, search.smooth_surface(volume), seen)
+        shares = []
+        for i, errors in found.items():
+            own = seen[i].colors[pixels[i][:, 1], pixels[i][:, 0]]
+            known = np.isfinite(errors)
+            assert known.mean() > 0.8
+            shares.append(1 - errors[known].mean() / ((own - own.mean(axis=0)) ** 2).sum(axis=1).mean())
+        explained[name] = float(np.mean(shares))
+    assert explained["metal"] > 0.6 > 0.2 > explained["cup"], explained
 
 
 @pytest.mark.slow
@@ -263,10 +296,11 @@ def test_a_narrow_tunnel_of_the_hull_is_no_wall(width: int, is_wall: bool) -> No
 )
 def test_a_flat_hollow_must_explain_more(depth: float, explained: float, from_far: float, is_confirmed: bool) -> None:
     wall = np.zeros((1, 1, 1))
-    hollow = search.Hollow(lid_of_the_box(6), depth, wall, 0.1, explained, from_far, 4.0, 16)
+    hollow = search.Hollow(lid_of_the_box(6), depth, wall, 0.1, -1.0, explained, from_far, 4.0, 16)
     assert hollow.is_confirmed == is_confirmed
     assert not replace(hollow, gain=1.0).is_confirmed
     assert not replace(hollow, explained_before=0.45).is_confirmed, "the surface before it explains nearly as much"
+    assert not replace(hollow, explained_by_reflection=0.45).is_confirmed, "so do its reflections"
 
 
 def test_an_opening_like_a_rejected_one_is_not_tried_again_and_a_hole_in_it_is() -> None:
