@@ -50,7 +50,7 @@ def reflection_errors(
     known = np.isfinite(directions[:, 0])
     take = np.array([photographs[i].take for i in owner])
     errors = {}
-    for i, chosen in pixels.items():
+    for i in pixels:
         own, others = owner == i, known & (owner != i) & (take == photographs[i].take)
         cosine = np.nan_to_num(directions[own]) @ directions[others].T
         weight = np.exp((cosine - 1) / np.radians(LOBE_DEGREES) ** 2)
