@@ -27,8 +27,8 @@ class SmoothnessWeights:
     albedo: float = 1e-3
     maps: float = 3e-3
     normals: float = 0.03
-    """Of differences between neighbouring normal offsets: with a thirtieth of it a map on a true mesh imitates noise and
-    loses 1.6 dB, with three times as much dents of 18° are lost (docs/studies/normal_maps.md)."""
+    """Of differences between neighbouring normal offsets: with a thirtieth of it a map on a true mesh imitates noise
+    and loses 1.6 dB, with three times as much dents of 18° are lost (docs/studies/normal_maps.md)."""
     normal_prior: float = 5e-4
     """On the length of normal offsets."""
     spacing: float = 1.0
