@@ -152,12 +152,19 @@ def _above_horizon(eye: DrJitArray) -> DrJitArray:
 
 
 def visible_normal(eye: DrJitArray, alpha: DrJitArray, u: DrJitArray) -> DrJitArray:
-    """A GGX normal visible from `eye` (Dupuy and Benyoub 2023, spherical caps)."""
+    """A GGX normal visible from `eye` (Dupuy and Benyoub 2023, spherical caps).
+
+    The cap's point z = (1 − u)(1 + s) − s, with s the height of the stretched eye, is near −1 at the end of the cap of
+    a narrow lobe, where 1 − z² and z + s would cancel in float32. So 1 + z and z + s are sums of positive terms.
+    """
     stretched = dr.normalize(mi.Vector3f(alpha * eye.x, alpha * eye.y, eye.z))
-    z = dr.fma(1 - u.x, 1 + stretched.z, -stretched.z)
-    radius = dr.safe_sqrt(1 - z * z)
+    above_one = 1 + stretched.z
+    height = (1 - u.x) * above_one
+    below_one = (dr.square(stretched.x) + dr.square(stretched.y)) / above_one
+    from_end = below_one + height
+    radius = dr.safe_sqrt(from_end * (2 - from_end))
     sin, cos = dr.sincos(dr.two_pi * u.y)
-    half = mi.Vector3f(radius * cos, radius * sin, z) + stretched
+    half = mi.Vector3f(radius * cos + stretched.x, radius * sin + stretched.y, height)
     # at the last point of the cap, seen along the normal, the sum is zero
     return dr.normalize(mi.Vector3f(alpha * half.x, alpha * half.y, dr.maximum(half.z, 1e-9)))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -66,20 +68,30 @@ def agreement(found: tuple[Tensor, Tensor], expected: tuple[Tensor, Tensor]) -> 
 
 @pytest.mark.parametrize("alpha", [0.001, 0.05, 0.3, 1.0])
 @pytest.mark.parametrize("rotated", [False, True])
-def test_lobes_are_those_of_torch(alpha: float, rotated: bool) -> None:
+def test_lobes_are_those_of_torch_in_float64(alpha: float, rotated: bool) -> None:
+    """The formula of the reference loses four digits in float32 at the end of a narrow lobe. The kernel's largest error
+    is 7e-7 of the direction at α = 0.001 and 0.05, and 2e-5 at 1, where two vectors of the last point cancel."""
     tracer, cells, frames = beside_a_ball()
     rotation = rotations(5) if rotated else None
-    square = spiral_points(POINTS, DIRECTIONS, 0, torch.device("cpu"))
-    arguments = (tracer, frames, eyes(0.05), torch.full((POINTS, 1), alpha), square, cells, PYRAMID, rotation)
-    found, expected = traced_lobes(*arguments), torch_directions.lobes(*arguments)
-    assert agreement((found.columns, found.bilinear), (expected.columns, expected.bilinear)) > 0.9995
+    square, eye = spiral_points(POINTS, DIRECTIONS, 0, torch.device("cpu")), eyes(0.05)
+    width = torch.full((POINTS, 1), alpha)
+    found = traced_lobes(tracer, frames, eye, width, square, cells, PYRAMID, rotation)
+    exact = replace(frames, origin=frames.origin.double(), axes=frames.axes.double())
+    turned = None if rotation is None else rotation.double()
+    # 0.001 in float32 is another width in float64
+    arguments = eye.double(), width.double(), square.double(), cells, PYRAMID, turned
+    expected = torch_directions.lobes(tracer, exact, *arguments)
+    weights = expected.bilinear.float()
+    assert agreement((found.columns, found.bilinear), (expected.columns, weights)) > 0.9995
     assert 0.05 < float((expected.columns >= PYRAMID.texels).float().mean()) < 0.95, "rays hit the ball and miss it"
-    for name in ("n_wi", "n_h", "h_wo", "toward_light"):  # within a tenth of the narrowest lobe
-        torch.testing.assert_close(getattr(found, name), getattr(expected, name), atol=7e-5, rtol=0)
-    torch.testing.assert_close(found.sin2_h, expected.sin2_h, atol=1e-7, rtol=1e-3)
+    for name in ("n_wi", "n_h", "h_wo", "toward_light"):
+        torch.testing.assert_close(
+            getattr(found, name), getattr(expected, name).float(), atol=4e-6 if alpha < 0.1 else 4e-5, rtol=0
+        )
+    torch.testing.assert_close(found.sin2_h, expected.sin2_h.float(), atol=1e-7, rtol=1e-3)
     lit = (found.inverse_pdf > 0) & (expected.inverse_pdf > 0)
     assert float(((found.inverse_pdf > 0) == (expected.inverse_pdf > 0)).float().mean()) > 0.9995
-    torch.testing.assert_close(found.inverse_pdf[lit], expected.inverse_pdf[lit], atol=0, rtol=2e-6 / alpha)
+    torch.testing.assert_close(found.inverse_pdf[lit], expected.inverse_pdf[lit].float(), atol=0, rtol=2e-5)
 
 
 def test_hemispheres_are_those_of_torch() -> None:
