@@ -33,7 +33,8 @@ class AssetHealth:
     constant_roughness: bool
     """One roughness for the whole surface."""
     metal_share: float | None
-    """Mean metalness; None for models without metalness, which cannot represent a metal with a colour of its own."""
+    """Mean metalness of the used texels; None for models without metalness, which cannot represent a metal with a
+    colour of its own."""
     unobserved_share: float | None
     """Share of the used texels that no view observed; None where that is not known."""
     shading_correlation: float | None
@@ -81,12 +82,20 @@ def asset_health(asset: Asset) -> AssetHealth:
         correlation = _correlation(_albedo(material, uvs), irradiance)
     return AssetHealth(
         constant_roughness=constant_if_uniform(material.roughness, 0).ndim == 0,
-        metal_share=None if material.metalness is None else float(material.metalness.mean()),
+        metal_share=_metal_share(material, uvs),
         unobserved_share=None if observed is None or not len(uvs) else float(1 - observed.mean()),
         shading_correlation=correlation,
         light_moves_with_camera=environment is not None and environment.frame == "camera",
         has_camera_lamp=asset.lamp is not None,
     )
+
+
+def _metal_share(material: AssetMaterial, uvs: Array) -> float | None:
+    """Of the used texels, because those beside the charts are empty; without any chart of all."""
+    if material.metalness is None:
+        return None
+    values = sample_texels(material.metalness, False, uvs) if len(uvs) else material.metalness
+    return float(values.mean())
 
 
 def _albedo(material: AssetMaterial, uvs: Array) -> Array:
