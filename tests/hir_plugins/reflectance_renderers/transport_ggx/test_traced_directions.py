@@ -78,7 +78,7 @@ def test_lobes_are_those_of_torch_in_float64(alpha: float, rotated: bool) -> Non
     found = traced_lobes(tracer, frames, eye, width, square, cells, PYRAMID, rotation)
     exact = replace(frames, origin=frames.origin.double(), axes=frames.axes.double())
     turned = None if rotation is None else rotation.double()
-    # 0.001 in float32 is another width in float64
+    # the float32 width: 0.001 itself would be another lobe
     arguments = eye.double(), width.double(), square.double(), cells, PYRAMID, turned
     expected = torch_directions.lobes(tracer, exact, *arguments)
     weights = expected.bilinear.float()
