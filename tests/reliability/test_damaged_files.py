@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from hir_core.config import RunConfig
 from hir_core.files.file_checksums import changed_file, checksums, regular_files
 from hir_core.pipeline import Run
 from hir_core.report import pictures_damage
@@ -18,6 +19,7 @@ from hir_core.run.run_directory import STAGE_NAMES, RunDirectory
 CLOCKED = {"timings.json", "report.html", "log.txt", ".lock"}
 WRITTEN_ANEW = {"run.json", "capture/cameras.json"}
 """Files that every call writes from the stages' own."""
+SIDE = RunConfig().report_side
 
 
 def files_of(run: Path) -> dict[str, bytes]:
@@ -33,7 +35,7 @@ def noticed(run: Path) -> bool:
     """Is any file of the run not as a stage or the report wrote it?"""
     directory = RunDirectory(run)
     records = [directory.record(name) for name in STAGE_NAMES]
-    return any(r is None or directory.damage(r) for r in records) or pictures_damage(directory) is not None
+    return any(r is None or directory.damage(r) for r in records) or pictures_damage(directory, SIDE) is not None
 
 
 def flip(path: Path, offset: int) -> None:
