@@ -28,7 +28,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_bat
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
 
 ROUNDS = (1, 3, 10)

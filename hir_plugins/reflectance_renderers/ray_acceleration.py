@@ -1,8 +1,8 @@
 """Mitsuba's acceleration structure over one mesh: Embree on the CPU, OptiX on CUDA.
 
 The only builder of such scenes. `ray_tracer` traces rays from and to numpy arrays on either device;
-`mitsuba_ggx.mitsuba_mesh` and `transport_ggx.operator.traced_directions` trace them inside Dr.Jit kernels. Code without
-Mitsuba uses open3d: `hir_core.mesh.ray_casting`.
+`mitsuba_ggx.mitsuba_mesh` and `transport_ggx.operator.lobes` trace them inside Dr.Jit kernels. Code without Mitsuba
+uses open3d: `hir_core.mesh.ray_casting`.
 """
 
 from __future__ import annotations

@@ -205,7 +205,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         if finished is not None:
             report(1.0)
             return finished.to(device)
-        photographs = self._pixels.recent(views, pixel_share)
+        photographs = self._pixels.recent(views, pixel_share, spec)
         if not len(photographs):
             raise StageError(
                 f"no pixel of {len(views)} photographs shows the surface from more than {MIN_VIEW_DEGREES:.0f} degrees"

@@ -38,7 +38,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_F
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import smoothness_energy
 from hir_plugins.reflectance_renderers.transport_ggx.fit.width_search import searched_width
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
 
 ADAM_BETAS = (0.9, 0.99)
 PIXEL_TERM = "pixels"

@@ -20,7 +20,7 @@ from hir_core.capture import Camera, Capture
 from hir_core.scene import CameraLamp
 from hir_plugins.reflectance_renderers.brdf_torch import schlick_weight, specular_lobe
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import MIN_EYE_COSINE
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import MIN_EYE_COSINE
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
 MIN_EMISSION_COSINE = 1e-3

@@ -23,7 +23,15 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache i
 )
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes, trace_lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.metal_reflections import (
+    MAX_REFLECTIONS,
+    METAL_FROM,
+    MIN_BRIGHTNESS,
+    MetalSurface,
+    metal_color,
+    sources_by_reflections,
+)
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import Lobes, trace_lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.take_lights import (
     ONE_LIGHT,
     TakeLights,
@@ -78,10 +86,21 @@ class Transport:
         return vertices, LinearMap.from_rows(self.cells_at(points), weights, cells)
 
     def sources(
-        self, radiance: Float[Tensor, "TH W 3"], albedo: Float[Tensor, "V 3"], bounces: int
+        self,
+        radiance: Float[Tensor, "TH W 3"],
+        albedo: Float[Tensor, "V 3"],
+        bounces: int,
+        metalness: Float[Tensor, "#V 1"] | None = None,
     ) -> tuple[Float[Tensor, "TS 3"], Float[Tensor, "TC 3"]]:
-        """Radiance of all that a ray can hit (pyramid texels, then cache cells), and the irradiance of every cell."""
+        """Radiance of all that a ray can hit (pyramid texels, then cache cells), and the irradiance of every cell.
+
+        With `metalness` and bounces there is a block of the radiance for each number of reflections by metal, whose
+        base colour is `albedo`: those that the lobes of a `metal_surface` read.
+        """
         found = [self._sources(light, albedo, bounces) for light in self.lights(radiance)]
+        if metalness is not None and bounces:
+            color, reflections = metal_color(albedo, metalness), min(bounces, MAX_REFLECTIONS)
+            found = [(sources_by_reflections(seen, color, reflections), irradiance) for seen, irradiance in found]
         return _stacked([sources for sources, _ in found]), _stacked([irradiance for _, irradiance in found])
 
     def _sources(
@@ -128,12 +147,35 @@ class Transport:
         samples: int,
         rotation: Float[Tensor, "N 3 3"] | None = None,
         seed: int = 0,
+        metal: MetalSurface | None = None,
     ) -> Lobes:
-        """The specular lobe of each point."""
+        """The specular lobe of each point; with `metal` it reads the blocks of the sources."""
         cells = self.face_cells, len(self.irradiance_cache)
-        lobes = trace_lobes(self.tracer, points, *cells, alpha, samples, self.pyramid, self.offset, rotation, seed)
-        columns = self.takes.stacked_columns(lobes.columns, points.view, self.source_count)
-        return replace(lobes, columns=columns, sources=self.takes.count * self.source_count)
+        lobes = trace_lobes(
+            self.tracer, points, *cells, alpha, samples, self.pyramid, self.offset, rotation, seed, metal
+        )
+        columns = self.takes.stacked_columns(lobes.columns, points.view, lobes.sources)
+        return replace(lobes, columns=columns, sources=self.takes.count * lobes.sources)
+
+    def metal_surface(
+        self,
+        base_color: Float[Tensor, "V 3"],
+        alpha: Float[Tensor, "#V 1"],
+        metalness: Float[Tensor, "#V 1"],
+        bounces: int,
+    ) -> MetalSurface | None:
+        """The metal by which directions of lobes are reflected, at most `bounces` times; None without bounces."""
+        if not bounces:
+            return None
+        count = len(self.surface.positions)
+        with torch.no_grad():
+            color, width, share = (
+                self.cell_average @ values.expand(count, -1).contiguous() for values in (base_color, alpha, metalness)
+            )
+            brightness = torch.where(share[:, 0] >= METAL_FROM, color.mean(dim=1), -1.0)
+            mean = float(metal_color(base_color, metalness).mean().clamp_min(MIN_BRIGHTNESS))
+        surface, reflections = self.surface, min(bounces, MAX_REFLECTIONS)
+        return MetalSurface(surface.normals, surface.faces, self.offset, brightness, width[:, 0], mean, reflections)
 
 
 def _stacked(blocks: list[Tensor]) -> Tensor:

@@ -17,6 +17,7 @@ from hir_plugins.reflectance_renderers.drjit_bilinear import repeated
 from hir_plugins.reflectance_renderers.drjit_latlong import latlong_coordinates
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import albedo_terms
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import MIN_EYE_COSINE
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import (
     ALPHA_LEVELS,
     MIN_LEVEL_ALPHA,
@@ -24,7 +25,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes im
     PROBE_ROWS,
     RadianceProbes,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import MIN_EYE_COSINE
 
 TEXELS_PER_PROBE = ALPHA_LEVELS * PROBE_ROWS * PROBE_COLUMNS
 """Texels of one cell's probe, all levels together."""

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import TexelEquations
 
 

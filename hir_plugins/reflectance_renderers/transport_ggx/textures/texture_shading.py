@@ -23,8 +23,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import resized
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import shading_normal_irradiance
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints, visible_points
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.textures.normal_map import mapped_normals

@@ -23,6 +23,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_
     ObservedPixels,
     observe_pixels,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import reflecting_metal
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
     LampCameras,
@@ -207,7 +208,8 @@ def _equations(
         gain, specular = arriving / torch.pi, torch.zeros_like(arriving)
     else:
         rho_s, alpha = at_points(parameters.specular_albedo), at_points(parameters.alpha)
-        lobes = transport.lobes(points, alpha, options.texture_samples, rotation, options.seed)
+        metal = reflecting_metal(transport, parameters, spec)
+        lobes = transport.lobes(points, alpha, options.texture_samples, rotation, options.seed, metal)
         received = lobe_radiance(lobes, alpha, sources)
         if lamp is not None and before_lamp is not None:
             received = with_lamp(received, before_lamp, lamp, alpha)
@@ -262,7 +264,8 @@ def _light(
 ) -> tuple[Tensor, Tensor]:
     if rotation is not None:
         return transport.sky_only(parameters.radiance), parameters.radiance.new_zeros(0, 3)
-    return transport.sources(parameters.radiance, parameters.base_color, spec.bounces)
+    metalness = None if parameters.metalness is None else parameters.metal_share
+    return transport.sources(parameters.radiance, parameters.base_color, spec.bounces, metalness)
 
 
 def _map(

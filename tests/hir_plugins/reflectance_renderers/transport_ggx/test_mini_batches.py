@@ -20,7 +20,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.resident_
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator import camera_light
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import irradiance_of, pixel_irradiance
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import Lobes
 from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo import solver_of
 
 

@@ -19,12 +19,12 @@ from hir_core.scene import EnvironmentMap, Mesh, Scene
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import (
     MAX_NORMAL_OFFSET,
     offset_normals,
     shading_normal_irradiance,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import visible_points
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX

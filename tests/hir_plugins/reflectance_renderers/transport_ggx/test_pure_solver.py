@@ -256,11 +256,11 @@ def test_views_are_compared_on_few_pixels_of_each(
 
 def test_only_the_last_pixels_stay_in_memory(capture: tuple[Scene, Capture]) -> None:
     solver = solver_of(capture)
-    whole = solver._pixels.recent(VIEWS, 1.0)
-    assert solver._pixels.recent(VIEWS, 1.0) is whole
+    whole = solver._pixels.recent(VIEWS, 1.0, DIRECT)
+    assert solver._pixels.recent(VIEWS, 1.0, DIRECT) is whole
     solver._pixels._max_recent_pixels = len(whole)
-    half = solver._pixels.recent(VIEWS, 0.5)
-    assert solver._pixels.recent(VIEWS, 0.5) is half and list(solver._pixels._recent) == [(tuple(VIEWS), 0.5)]
+    half = solver._pixels.recent(VIEWS, 0.5, DIRECT)
+    assert solver._pixels.recent(VIEWS, 0.5, DIRECT) is half and list(solver._pixels._recent) == [(tuple(VIEWS), 0.5)]
     solver._pixels._max_recent_pixels = 1
     camera = ModelSpec(light_frame="camera")
     solver.fit(camera, None, VIEWS, 0.1, silent)

@@ -11,8 +11,8 @@ from hir_core.scene import Scene
 from hir_core.scene.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.brdf_torch import schlick_weight
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import Lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import visible_points
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX

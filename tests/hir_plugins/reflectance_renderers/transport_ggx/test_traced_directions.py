@@ -14,8 +14,8 @@ from torch.nn.functional import normalize
 from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import spiral_points
-from hir_plugins.reflectance_renderers.transport_ggx.operator.traced_directions import (
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import spiral_points
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.traced_directions import (
     DirectionFrames,
     light_texels,
     traced_hemispheres,
@@ -158,7 +158,7 @@ def test_lookup_of_a_texel_centre_is_that_texel() -> None:
 
 def test_a_level_offset_reads_coarser_texels(monkeypatch: pytest.MonkeyPatch) -> None:
     """The constant that the study of directions varies."""
-    from hir_plugins.reflectance_renderers.transport_ggx.operator import traced_directions
+    from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes import traced_directions
 
     fine, _ = looked_up(PYRAMID, random_unit(200, 6), torch.full((200,), 1e-9))
     monkeypatch.setattr(traced_directions, "LEVEL_OFFSET", 30.0)

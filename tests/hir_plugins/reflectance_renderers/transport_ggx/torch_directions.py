@@ -1,4 +1,4 @@
-"""The reference for `operator/traced_directions.py`: the same directions in torch, one operation at a time."""
+"""The reference for `operator/lobes/traced_directions.py`: the same directions in torch, one operation at a time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from hir_core.scene.bilinear import axis_neighbours, bilinear_weights
 from hir_plugins.reflectance_renderers.brdf_torch import ggx_d
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
-from hir_plugins.reflectance_renderers.transport_ggx.operator.traced_directions import DirectionFrames, TracedLobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.traced_directions import (
+    DirectionFrames,
+    TracedLobes,
+)
 
 
 def lobes(

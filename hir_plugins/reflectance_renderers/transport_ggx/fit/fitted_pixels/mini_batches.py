@@ -12,7 +12,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_bat
     specular_matrices,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_
     concatenate,
     observe_pixels,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import PixelBatch
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import PixelBatch, reflecting_metal
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import LampCameras, LampPoints
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
@@ -38,6 +38,9 @@ SAMPLE_PIXELS = 4_096
 SAMPLE_DIRECTIONS_FACTOR = 2
 """Multiple of the directions of a lobe there: the noise of few directions grows with the width and favours narrow
 lobes."""
+METAL_DIRECTIONS = 3
+"""Multiple of the directions of a metal's lobes, of which a fit has as many times fewer pixels: all that a metal shows
+is in its lobes, whose noise and blur are the largest error (docs/studies/directions_of_lobes.md)."""
 SAMPLE_NUMBER = -1
 """Their key among the batches."""
 DRAW_SEEDS = 1 << 24
@@ -92,8 +95,11 @@ class PhotographPixels:
 
         return self._recently((tuple(views), 0.0), thinned)
 
-    def recent(self, views: Sequence[int], share: float) -> ObservedPixels:
-        """The pixels of a fit."""
+    def recent(self, views: Sequence[int], share: float, spec: ModelSpec) -> ObservedPixels:
+        """The pixels of a fit of a model, a share of all: of a metal fewer, with more directions each."""
+        if spec.kind == "metal":
+            most = self._options.pixels / METAL_DIRECTIONS * len(views) / max(len(self._capture.views), 1)
+            share *= min(1.0, most / max(len(self.of(views)), 1))
         return self._recently((tuple(views), share), lambda: self.subsampled(self.of(views), share))
 
     def _recently(self, key: tuple[tuple[int, ...], float], make: Callable[[], ObservedPixels]) -> ObservedPixels:
@@ -121,7 +127,7 @@ class PhotographPixels:
         """
         block = self._options.block_pixels
         count = max(1, math.ceil(len(photographs) / block))
-        directions = self._options.samples
+        directions = self._options.samples * (METAL_DIRECTIONS if spec.kind == "metal" else 1)
         order = torch.randperm(len(photographs), generator=torch.Generator().manual_seed(self._options.seed))
 
         def make(state: Parameters, number: int) -> PixelBatch:
@@ -174,7 +180,8 @@ class PhotographPixels:
         if spec.brdf != "diffuse":
             alpha = parameters.alpha.detach()
             alpha = alpha if len(alpha) == 1 else vertices.matrix @ alpha
-            lobes = self._transport.lobes(points, alpha, directions, rotation, seed)
+            metal = reflecting_metal(self._transport, parameters, spec)
+            lobes = self._transport.lobes(points, alpha, directions, rotation, seed, metal)
         lamp = None
         if spec.lamp:
             lamp = LampPoints.of(part.points, self._cameras, self._transport.tracer, self._transport.offset)

@@ -10,18 +10,20 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from hir_core.optimization.clipped_pixels import without_clipped_excess
+from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import LampPoints, lamp_irradiance, lamp_lobe
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.metal_reflections import MetalSurface
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import Lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import (
     offset_normals,
     shading_normal_irradiance,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +148,16 @@ def light_sources(
     camera."""
     if batch.direct is not None:
         return transport.sky_only(parameters.radiance), None
-    return transport.sources(parameters.radiance, parameters.base_color, bounces)
+    metalness = None if parameters.metalness is None else parameters.metal_share
+    return transport.sources(parameters.radiance, parameters.base_color, bounces, metalness)
+
+
+def reflecting_metal(transport: Transport, parameters: Parameters, spec: ModelSpec) -> MetalSurface | None:
+    """The metal by which the directions of a model's lobes are reflected; None where there is none, and where the
+    light moves with the camera."""
+    if parameters.metalness is None or spec.light_frame == "camera":
+        return None
+    return transport.metal_surface(parameters.base_color, parameters.alpha, parameters.metal_share, spec.bounces)
 
 
 def with_exposure(batch: PixelBatch, radiance: Float[Tensor, "P 3"], parameters: Parameters) -> Float[Tensor, "P 3"]:

@@ -22,7 +22,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_bat
     specular_matrices,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters, logit_of_alpha
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_radiance import SpecularMatrices
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
 
 MAX_ALPHA_RATIO = 1.1
 """Lobes are sampled anew if α has changed by more than this factor on average."""

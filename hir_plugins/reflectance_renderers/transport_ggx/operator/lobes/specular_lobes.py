@@ -19,7 +19,11 @@ from torch import Tensor
 from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms, schlick_weight, specular_lobe
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
-from hir_plugins.reflectance_renderers.transport_ggx.operator.traced_directions import DirectionFrames, traced_lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.metal_reflections import MetalSurface
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.traced_directions import (
+    DirectionFrames,
+    traced_lobes,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints
 
 SCALE_LIMITS = 0.5, 2.0
@@ -53,7 +57,7 @@ class Lobes:
     axes: Float[Tensor, "P 3 3"]
     """Rows: tangent, bitangent and the normal that the directions were drawn about, in the world."""
     sources: int
-    """Texels of the pyramid and cells together: the columns of the matrices."""
+    """Texels of the pyramid and cells together, for each number of reflections: the columns of the matrices."""
 
     def __len__(self) -> int:
         return len(self.columns)
@@ -106,10 +110,12 @@ def trace_lobes(
     offset: float,
     rotation: Float[Tensor, "N 3 3"] | None = None,
     seed: int = 0,
+    metal: MetalSurface | None = None,
 ) -> Lobes:
     """Draws `samples` visible normals for each point, traces their reflections and looks them up in the light.
 
-    A direction that hits the surface reads the radiance of the cache cell there (`face_cells`: the cell of each face).
+    A direction that hits the surface reads the radiance of the cache cell there (`face_cells`: the cell of each face),
+    or is reflected by `metal`; then the sources have a block for each number of reflections.
     `rotation` (per view) rotates world directions into the light's own frame.
     """
     alpha = alpha.detach().expand(len(points), 1)
@@ -118,14 +124,14 @@ def trace_lobes(
     n_wo = local_o[:, 2].clamp_min(MIN_EYE_COSINE)
     local_o = torch.nn.functional.normalize(torch.cat([local_o[:, :2], n_wo[:, None]], dim=1), dim=1)
     square = spiral_points(len(points), samples, seed, points.position.device)
-    found = traced_lobes(tracer, frames, local_o, alpha, square, face_cells, pyramid, rotation)
+    found = traced_lobes(tracer, frames, local_o, alpha, square, face_cells, pyramid, rotation, metal, seed)
     return Lobes(
         **found._asdict(),
         n_wo=n_wo,
         sampling_alpha=alpha,
         toward_eye=local_o,
         axes=frames.axes,
-        sources=pyramid.texels + cells,
+        sources=(pyramid.texels + cells) * (1 if metal is None else metal.blocks),
     )
 
 

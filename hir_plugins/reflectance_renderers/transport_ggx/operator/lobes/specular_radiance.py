@@ -17,7 +17,7 @@ from torch import Tensor
 
 from hir_plugins.reflectance_renderers.brdf_torch import Model, directional_albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import SparsityPattern
-from hir_plugins.reflectance_renderers.transport_ggx.operator.specular_lobes import Lobes
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import Lobes
 
 _NORMAL_STEP_IN_ALPHAS = 0.02
 """Finite-difference step of the normal, as a fraction of α."""

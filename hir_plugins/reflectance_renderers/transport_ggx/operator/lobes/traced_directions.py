@@ -24,6 +24,12 @@ from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import clamped_alpha, visible_lobe, visible_normal
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.metal_reflections import (
+    SPLIT,
+    MetalSurface,
+    ReflectedEnds,
+    reflected_ends,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import SurfacePoints, tangent_frame
 
 LEVEL_OFFSET = 0.0
@@ -89,18 +95,23 @@ def traced_lobes(
     face_cells: NDArray[np.int64],
     pyramid: Pyramid,
     rotation: Float[Tensor, "N 3 3"] | None,
+    metal: MetalSurface | None = None,
+    seed: int = 0,
 ) -> TracedLobes:
     """Visible normals for points (angle, area) of the unit square, and what their reflections see.
 
     `toward_eye` is unit, in the axes of the frames and above the horizon. `rotation` (per view) rotates directions of
-    the world into the light's own frame.
+    the world into the light's own frame. Directions that hit `metal` are reflected there, with random numbers of
+    `seed`; without it they read the cache cell that they hit.
     """
     count, samples, _ = square.shape
     found = TracedLobes.empty(count, samples, square.device)
     cells = mi.Int32(face_cells.astype(np.int32))
     for part in _launches(square):
         lobes = frames.part(part), toward_eye[part], alpha[part], square[part]
-        for target, values in zip(found, _launched_lobes(tracer, *lobes, cells, pyramid, rotation), strict=True):
+        beyond = None if metal is None else (metal, part.start * samples, seed)
+        launched = _launched_lobes(tracer, *lobes, cells, pyramid, rotation, beyond)
+        for target, values in zip(found, launched, strict=True):
             copy_to_torch(values, target[part])
     return found
 
@@ -114,8 +125,9 @@ def _launched_lobes(
     cells: DrJitArray,
     pyramid: Pyramid,
     rotation: Float[Tensor, "N 3 3"] | None,
+    beyond: tuple[MetalSurface, int, int] | None,
 ) -> tuple[DrJitArray, ...]:
-    """The flat arrays of `TracedLobes`."""
+    """The flat arrays of `TracedLobes`. `beyond`: the metal, the number of the first direction and the seed."""
     samples = square.shape[1]
     row, drawn = _rows_and_points(square)
     eye: DrJitArray = dr.gather(mi.Vector3f, to_float(toward_eye, mi), row)
@@ -132,11 +144,32 @@ def _launched_lobes(
     columns, weights = light_texels(pyramid, _in_frame_of_light(ray.d, frames, row, rotation), inverse)
     columns = dr.select(blocked, mi.Vector4i(pyramid.texels + cell), columns)
     weights = dr.select(blocked, mi.Vector4f(BILINEAR_OF_CELL), weights)
+    texels, bilinear = dr.ravel(columns), dr.ravel(weights)
+    if beyond is not None:
+        metal, first, seed = beyond
+        ends = reflected_ends(tracer, metal, cells, ray, hit, blocked, first, seed)
+        if ends is not None:
+            assert rotation is None, "a light that moves with the camera has no reflections"
+            column = _column_of_end(pyramid, ends, samples, len(metal.brightness))
+            dr.scatter(texels, column, ends.entry)
+            dr.scatter(bilinear, ends.weight / SPLIT, ends.entry)
     inverse = dr.select(above, inverse, 0)
     sine = dr.square(half.x) + dr.square(half.y)
-    found = dr.ravel(columns), dr.ravel(weights), light.z, half.z, sine, half_eye, inverse, dr.ravel(light)
+    found = texels, bilinear, light.z, half.z, sine, half_eye, inverse, dr.ravel(light)
     dr.eval(found)  # one kernel: each result that is read alone would trace the rays again
     return found
+
+
+def _column_of_end(pyramid: Pyramid, ends: ReflectedEnds, samples: int, cells: int) -> DrJitArray:
+    """The source that each reflected direction reads: one of four texels, with their weights as probabilities."""
+    solid_angle = dr.rcp(samples * dr.maximum(ends.density, MIN_DENSITY))
+    texels, weights = light_texels(pyramid, ends.direction, solid_angle)
+    column, passed = texels.x, weights.x
+    for texel, weight in ((texels.y, weights.y), (texels.z, weights.z), (texels.w, weights.w)):
+        column = dr.select(ends.drawn > passed, texel, column)
+        passed += weight
+    column = dr.select(ends.blocked, pyramid.texels + ends.cell, column)
+    return column + mi.Int32(ends.reflections) * (pyramid.texels + cells)
 
 
 def traced_hemispheres(

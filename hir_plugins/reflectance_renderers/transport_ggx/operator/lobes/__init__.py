@@ -1,0 +1,1 @@
+"""The lobes of pixels: their directions, what these see, and matrices of them."""
