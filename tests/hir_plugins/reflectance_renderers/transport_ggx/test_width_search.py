@@ -101,6 +101,7 @@ def test_a_fit_finds_the_width_from_either_side(model: str) -> None:
 
     With gradients it ended where it started, because of the noise of directions that were drawn at another width. The
     light is unknown, too, so the best width of the dielectric is not the true one: twice the steps end at .29 to .31.
+    Those of the metal end at .178 to .187 (with 16 directions in place of 48: .216 to .231).
     """
     mesh = ball()
     material = make_material((0.9, 0.7, 0.3), 0.04, 0.2, "dielectric")
@@ -118,4 +119,5 @@ def test_a_fit_finds_the_width_from_either_side(model: str) -> None:
         found.append(float(fit.parameters.alpha))
     from_truth = found.pop()
     assert max(abs(np.log(alpha / from_truth)) for alpha in found) < np.log(1.15), (found, from_truth)
-    assert min(found) / 0.2 > 0.9 and max(found) / 0.2 < 1.6, found
+    least, most = (0.83, 1.2) if model == "metallic" else (0.9, 1.6)
+    assert min(found) / 0.2 > least and max(found) / 0.2 < most, found
