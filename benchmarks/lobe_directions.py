@@ -29,7 +29,7 @@ from hir_core.stages.reflectance.selection.hypotheses import KINDS, hypothesis
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.operator import camera_light
-from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes import specular_lobes, traced_directions
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes import specular_lobes, spiral, traced_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
 
@@ -60,14 +60,14 @@ def random_points(count: int, samples: int, seed: int, device: torch.device) -> 
 PATTERNS: dict[str, Pattern] = {
     "random": random_points,
     "R2": r2_points,
-    "spiral": specular_lobes.spiral_points,
+    "spiral": spiral.spiral_points,
 }
 
 
 @contextmanager
 def drawn_with(pattern: Pattern, level_offset: float) -> Iterator[None]:
     """Lobes with another pattern of directions that read the light `level_offset` levels coarser."""
-    points = specular_lobes.spiral_points
+    points = spiral.spiral_points
     specular_lobes.spiral_points = camera_light.spiral_points = pattern
     traced_directions.LEVEL_OFFSET = level_offset
     try:
@@ -126,7 +126,7 @@ def hemisphere_errors(solver: TransportSolver, fit: Fit, view: int) -> Iterator[
         with drawn_with(pattern, 0.0):
             return camera_light.irradiance_of(transport, points, directions, solver._rotation, sources)
 
-    reference = irradiance(specular_lobes.spiral_points, REFERENCE_OF_HEMISPHERE)
+    reference = irradiance(spiral.spiral_points, REFERENCE_OF_HEMISPHERE)
     for name, pattern in PATTERNS.items():
         errors = {n: irradiance(pattern, n) - reference for n in HEMISPHERES}
         yield {
@@ -158,7 +158,7 @@ def main() -> None:
     }
     for alpha in map(float, options.alphas.split(",")):
         lobe = replace(fit, parameters=replace(fit.parameters, width=logit_of_alpha(torch.tensor([[alpha]]))))
-        with drawn_with(specular_lobes.spiral_points, FINEST_LEVEL):
+        with drawn_with(spiral.spiral_points, FINEST_LEVEL):
             reference = predicted(task, lobe, held_out[0], REFERENCE_DIRECTIONS)
         for name, pattern in PATTERNS.items():
             for level in map(float, options.levels.split(",")):

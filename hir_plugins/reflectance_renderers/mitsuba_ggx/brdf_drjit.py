@@ -48,11 +48,11 @@ def evaluate(r: Reflectance, eye: DrJitArray, light: DrJitArray) -> DrJitArray:
     half = _half(eye, light)
     alpha = clamped_alpha(r.alpha)
     n_wi, n_wo = dr.clip(light.z, 0, 1), dr.clip(eye.z, 0, 1)
-    lobe = _ggx(half, alpha) * (2 * n_wi / _denominator(n_wi, alpha)) / _denominator(n_wo, alpha) / 2
+    lobe = _ggx(half, alpha) * (2 * n_wi / smith_denominator(n_wi, alpha)) / smith_denominator(n_wo, alpha) / 2
     cosine = n_wi * dr.inv_pi
     if r.model == "paper":
         return r.diffuse * cosine + r.specular * lobe
-    grazing = _fifth(1 - dr.dot(half, eye))
+    grazing = fifth(1 - dr.dot(half, eye))
     fresnel = r.specular * (1 - grazing) + grazing
     scale, bias = albedo_terms(n_wo, alpha)
     diffuse_share = dr.maximum(1 - (r.specular * scale + bias), 0)
@@ -61,7 +61,7 @@ def evaluate(r: Reflectance, eye: DrJitArray, light: DrJitArray) -> DrJitArray:
 
 def sample(r: Reflectance, eye: DrJitArray, point: DrJitArray) -> DrJitArray:
     """A direction drawn with the density of `pdf`, from a point of the unit square; not differentiated."""
-    eye, alpha, p = _above_horizon(eye), dr.detach(clamped_alpha(r.alpha)), specular_probability(r, eye)
+    eye, alpha, p = above_horizon(eye), dr.detach(clamped_alpha(r.alpha)), specular_probability(r, eye)
     specular = point.x < p
     u = dr.select(specular, point.x / p, (point.x - p) / (1 - p))
     u = mi.Point2f(dr.clip(u, 0, dr.one_minus_epsilon(mi.Float)), point.y)
@@ -71,7 +71,7 @@ def sample(r: Reflectance, eye: DrJitArray, point: DrJitArray) -> DrJitArray:
 
 def pdf(r: Reflectance, eye: DrJitArray, light: DrJitArray) -> DrJitArray:
     """Density per steradian of `sample`; 0 below the horizon. Not differentiated."""
-    eye, alpha, p = _above_horizon(eye), dr.detach(clamped_alpha(r.alpha)), specular_probability(r, eye)
+    eye, alpha, p = above_horizon(eye), dr.detach(clamped_alpha(r.alpha)), specular_probability(r, eye)
     half = _half(eye, light)
     density = p * visible_lobe(half, eye, alpha) + (1 - p) * dr.maximum(light.z, 0) * dr.inv_pi
     return dr.select(light.z > 0, density, 0)
@@ -82,7 +82,7 @@ def visible_lobe(half: DrJitArray, eye: DrJitArray, alpha: DrJitArray) -> DrJitA
 
     `alpha` is at least `ALPHA_MIN`.
     """
-    return _ggx(half, alpha) / (2 * _denominator(eye.z, alpha))
+    return _ggx(half, alpha) / (2 * smith_denominator(eye.z, alpha))
 
 
 def specular_probability(r: Reflectance, eye: DrJitArray) -> DrJitArray:
@@ -132,7 +132,8 @@ def _ggx(half: DrJitArray, alpha: DrJitArray) -> DrJitArray:
     return alpha2 / (dr.pi * dr.square(sum_of_squares))
 
 
-def _denominator(cos: DrJitArray, alpha: DrJitArray) -> DrJitArray:
+def smith_denominator(cos: DrJitArray, alpha: DrJitArray) -> DrJitArray:
+    """2 cos / G1 of a direction."""
     alpha2 = dr.square(alpha)
     return cos + dr.sqrt(alpha2 + (1 - alpha2) * dr.square(cos))
 
@@ -142,12 +143,14 @@ def clamped_alpha(alpha: DrJitArray) -> DrJitArray:
     return dr.clip(alpha, ALPHA_MIN, 1)
 
 
-def _fifth(x: DrJitArray) -> DrJitArray:
+def fifth(x: DrJitArray) -> DrJitArray:
+    """The fifth power of a value in 0…1."""
     x = dr.clip(x, 0, 1)
     return dr.square(dr.square(x)) * x
 
 
-def _above_horizon(eye: DrJitArray) -> DrJitArray:
+def above_horizon(eye: DrJitArray) -> DrJitArray:
+    """A unit direction, raised above the horizon: interpolated normals may face away from it."""
     return dr.normalize(mi.Vector3f(eye.x, eye.y, dr.maximum(eye.z, _EYE_MIN)))
 
 

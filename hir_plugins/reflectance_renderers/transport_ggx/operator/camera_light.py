@@ -12,7 +12,7 @@ from torch import Tensor
 from hir_core.capture import Capture
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap, SparsityPattern
-from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import spiral_points
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.spiral import spiral_points
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.traced_directions import (
     DirectionFrames,
     traced_hemispheres,

@@ -14,7 +14,7 @@ from torch.nn.functional import normalize
 from hir_plugins.reflectance_renderers.mitsuba_variant import mitsuba_on
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
-from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import spiral_points
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.spiral import spiral_points
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.traced_directions import (
     DirectionFrames,
     light_texels,

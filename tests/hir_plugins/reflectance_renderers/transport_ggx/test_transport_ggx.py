@@ -19,7 +19,7 @@ from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_term
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
-from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import spiral_points
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.spiral import spiral_points
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver

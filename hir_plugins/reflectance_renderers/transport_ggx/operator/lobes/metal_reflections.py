@@ -8,7 +8,6 @@ of the sources, which are those of block 0 times the n-th power of that colour.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import drjit as dr
@@ -19,8 +18,16 @@ from torch import Tensor
 
 from hir_plugins.reflectance_renderers.drjit_arrays import to_float, to_uint
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray, MitsubaObject
-from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import clamped_alpha, visible_lobe, visible_normal
+from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import (
+    above_horizon,
+    clamped_alpha,
+    fifth,
+    smith_denominator,
+    visible_lobe,
+    visible_normal,
+)
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.spiral import TURN
 
 MAX_REFLECTIONS = 3
 """Of a direction, after its first hit. What hits the surface after them reads the irradiance cache."""
@@ -30,11 +37,8 @@ METAL_FROM = 0.5
 """Metalness from which a cell reflects like a metal."""
 MIN_BRIGHTNESS = 1e-3
 """Of the mean metal: weights are divided by it."""
-MIN_EYE_COSINE = 1e-3
-"""Interpolated normals may face away from the direction that hits."""
 NUMBERS_OF_PATH = 16
 """Random numbers of a reflected direction, at least."""
-TURN = (math.sqrt(5) - 1) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +147,7 @@ def reflected_ends(
         at = [dr.gather(mi.Vector3f, normals, corner, reflects) for corner in corners]
         normal = dr.normalize((1 - uv.x - uv.y) * at[0] + uv.x * at[1] + uv.y * at[2])
         frame = mi.Frame3f(normal)
-        eye = frame.to_local(-direction)
-        eye = dr.normalize(mi.Vector3f(eye.x, eye.y, dr.maximum(eye.z, MIN_EYE_COSINE)))
+        eye = above_horizon(frame.to_local(-direction))
         area, turn = drawn(2 * number), drawn(2 * number + 1)
         if number == 0:  # the directions of one ray are spread over the lobe
             area, turn = (own + area) / SPLIT, turn + own * TURN
@@ -154,8 +157,9 @@ def reflected_ends(
         half_eye = dr.clip(dr.dot(half, eye), 0, 1)
         light = 2 * half_eye * half - eye
         above = light.z > 0
-        fresnel = shine + (1 - shine) * dr.power(1 - half_eye, 5)
-        gain = fresnel / metal.mean_brightness * _unmasked(light.z, width)
+        cosine = dr.maximum(light.z, 0)
+        masking = 2 * cosine / smith_denominator(cosine, width)
+        gain = (shine + (1 - shine) * fifth(1 - half_eye)) / metal.mean_brightness * masking
         weight = dr.select(reflects, dr.select(above, weight * gain, 0), weight)
         density = dr.select(reflects, visible_lobe(half, eye, width), density)
         reflections = dr.select(reflects, mi.UInt32(number + 1), reflections)
@@ -168,9 +172,3 @@ def reflected_ends(
         cell = dr.select(hits, dr.gather(mi.Int32, cells, face, hits), cell)
         found = dr.select(reflects, hits, found)
     return ReflectedEnds(entry, direction, density, found, cell, reflections, weight, drawn(NUMBERS_OF_PATH - 1))
-
-
-def _unmasked(cosine: DrJitArray, alpha: DrJitArray) -> DrJitArray:
-    """Smith's masking of the reflected direction: G1 of GGX."""
-    root = dr.sqrt(dr.square(alpha) + (1 - dr.square(alpha)) * dr.square(cosine))
-    return 2 * cosine / dr.maximum(cosine + root, 1e-12)

@@ -7,7 +7,6 @@ lobe is split as `specular = ρs·(W − G) + G` for Schlick's term and `ρs·W`
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -20,6 +19,7 @@ from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_term
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.metal_reflections import MetalSurface
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.spiral import spiral_points
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.traced_directions import (
     DirectionFrames,
     traced_lobes,
@@ -28,8 +28,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface im
 
 SCALE_LIMITS = 0.5, 2.0
 """Of the factor that makes the weights of a lobe's directions add up to its albedo."""
-TURN = (math.sqrt(5) - 1) / 2
-"""Of a turn, from one direction of a lobe to the next: the inverse golden ratio."""
 MIN_EYE_COSINE = 1e-3
 """Least cosine between normal and eye: interpolated normals may face away from the camera at silhouettes."""
 
@@ -133,19 +131,3 @@ def trace_lobes(
         axes=frames.axes,
         sources=(pyramid.texels + cells) * (1 if metal is None else metal.blocks),
     )
-
-
-def spiral_points(count: int, samples: int, seed: int, device: torch.device) -> Float[Tensor, "P K 2"]:
-    """Points (angle, area) in the unit square that are even on a disk: a Fibonacci spiral (Vogel 1979).
-
-    Each pixel turns it and moves it along the radius at random, which decorrelates neighbours. Every ring of area
-    1 / K has one point. The R2 sequence is even on the square instead, and lobes have 0.5 to 2 dB more error with it
-    (docs/studies/directions_of_lobes.md).
-    """
-    index = torch.arange(samples, dtype=torch.float64)
-    turned = (index * TURN).remainder(1).float().to(device)
-    generator = torch.Generator().manual_seed(seed)
-    shift = torch.rand(count, 1, 2, generator=generator, dtype=torch.float64).float().to(device)
-    angle = turned + shift[..., 0]
-    area = (index.float().to(device) + shift[..., 1]) / samples
-    return torch.stack([torch.where(angle >= 1, angle - 1, angle), area], dim=-1)
