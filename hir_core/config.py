@@ -202,6 +202,9 @@ class ReflectanceSettings:
     """No texel reflects more light than it receives: ρd + ρs ≤ 1 in the `paper` model, each ≤ 1 in `dielectric`."""
     known_environment: str = ""
     """A lat-long file that is the light, in the capture's axes, `FILE` or `FILE*STRENGTH`; it is then not fitted."""
+    revise_mesh: bool = True
+    """After the fit, initializers of the chain that can do so, such as `hollows`, revise the mesh with the fitted
+    material and light; a changed mesh is fitted again, and kept where held-out views gain."""
     map_errors: bool = True
     """Estimate standard errors of base colour, metalness and roughness from the spread over photographs."""
     gradient: GradientSettings = field(default_factory=GradientSettings)

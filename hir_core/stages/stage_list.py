@@ -148,9 +148,9 @@ def _fit_reflectance(state: RunState, context: StageContext) -> StageResult[Fitt
     scene = _scene(state)
     if not state.config.reflectance.enabled:
         return StageResult(FittedScene(scene, EQUAL_EXPOSURES, None, None), SkippedStageReport())
-    from hir_core.stages.reflectance.reflectance_fit import fit_reflectance
+    from hir_core.stages.shape_revision import fit_reflectance_and_revise
 
-    found = fit_reflectance(scene, state.capture, state.config.reflectance, context, state.silhouette_positions)
+    found = fit_reflectance_and_revise(scene, state.capture, state.config, context, state.silhouette_positions)
     value = FittedScene(found.scene, found.exposures, found.report.bounces, found.map_errors)
     return StageResult(value, found.report)
 

@@ -113,7 +113,7 @@ HOLLOWS = Component(
     summary="Sinks openings of the visual hull, such as a mug's, as deep as explains the photographs best.",
     requires=("torch", "jaxtyping", "open3d", "cv2", "skimage", "scipy"),
     extra="reconstruct",
-    traits=frozenset({"needs_cameras", "needs_masks", "needs_surface", "makes_surface"}),
+    traits=frozenset({"needs_cameras", "needs_masks", "needs_surface", "makes_surface", "revises_mesh"}),
 )
 
 STEREO = Component(

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import NDArray
 from torch import Tensor
 
 from hir_core.capture import Capture
@@ -65,6 +66,8 @@ class FittedReflectance:
     """How certain the maps are; None where that was not estimated."""
     report: ReflectanceReport
     """How the model was selected, and what each step gained."""
+    held_out_errors: NDArray[np.float64] | None = None
+    """Mean squared errors of the selected model on held-out views; None where nothing was compared."""
 
 
 def fit_reflectance(
@@ -115,12 +118,12 @@ def fit_reflectance(
         if by_solver and isinstance(prepared, ReflectanceSolver):
             takes_terms = "regularizers" in traits
             other_shape = None if silhouette_positions is None else on_silhouettes
-            fitted, used, shading, report = _fit_by_solver(
+            fitted, used, shading, report, held_out_errors = _fit_by_solver(
                 initial, prepared, other_shape, takes_terms, exposures, fits_lamp, capture, settings, context
             )
         else:
             fitted, report = _fit_by_gradient(initial, prepared, capture, settings, context)
-            used, shading = EQUAL_EXPOSURES, prepared
+            used, shading, held_out_errors = EQUAL_EXPOSURES, prepared, None
     if settings.conserve_energy and fitted.material is not None:
         material, clamped = with_conserved_energy(fitted.material)
         fitted = replace(fitted, material=material)
@@ -136,7 +139,7 @@ def fit_reflectance(
         if errors is not None and fitted.material is not None and not settings.known_environment:
             errors = with_common_errors(errors, fitted.material, PRIOR_WIDTHS)
     report = replace(report, light_scale=light_scale, map_errors=None if errors is None else errors.report())
-    return FittedReflectance(fitted, used, errors, report)
+    return FittedReflectance(fitted, used, errors, report, held_out_errors)
 
 
 def _fit_by_solver(
@@ -149,8 +152,8 @@ def _fit_by_solver(
     capture: Capture,
     settings: ReflectanceSettings,
     context: StageContext,
-) -> tuple[Scene, PhotographExposures, PreparedReflectance, ReflectanceReport]:
-    """Also what shades the scene with all that was modelled.
+) -> tuple[Scene, PhotographExposures, PreparedReflectance, ReflectanceReport, NDArray[np.float64] | None]:
+    """Also what shades the scene with all that was modelled, and the errors on held-out views.
 
     `takes_terms`: the solver minimises the regularizers itself; otherwise gradient steps with them follow it.
     """
@@ -244,6 +247,7 @@ def _fit_by_solver(
             albedo_refinement=refinement,
             path_tracing=path_tracing,
         ),
+        selection.held_out_errors,
     )
 
 

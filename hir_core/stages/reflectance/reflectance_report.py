@@ -90,6 +90,27 @@ class ShapeReport:
 
 
 @dataclass(frozen=True)
+class RevisionReport:
+    """Whether initializers revised the mesh with the fitted material and light, and what held-out views say of it."""
+
+    initializers: tuple[str, ...]
+    details: Mapping[str, Mapping[str, Any]]
+    """What each of them reports."""
+    changed: bool
+    """Whether they changed the mesh, so that everything was fitted again; what follows is known then."""
+    accepted: bool = False
+    """Whether the result has the revised mesh."""
+    gain_db: float | None = None
+    """Of the fit on the revised mesh, on held-out views."""
+    standard_error_db: float | None = None
+    held_out_views: int | None = None
+    near_tie: bool | None = None
+    """Whether the gain is within noise, two standard errors."""
+    sentence: str = ""
+    """All of it in words."""
+
+
+@dataclass(frozen=True)
 class LampReport:
     """Whether hypotheses with a lamp near the camera took part: a short fit of the simplest of them, in dB."""
 
@@ -220,6 +241,8 @@ class ReflectanceReport:
     """None where no hypothesis with a lamp was considered."""
     shape: ShapeReport | None = None
     """Which shape the material was fitted on; None where nothing was compared."""
+    revision: RevisionReport | None = None
+    """Whether the mesh was revised after the fit; None where no initializer was asked."""
     takes: Sequence[str] | None = None
     """Takes of the photographs, each of which has its own light; None where all have one."""
     exposures: ExposureReport | None = None

@@ -179,6 +179,35 @@ def _frame_advice(vertices: np.ndarray) -> str:
     return ""
 
 
+@contract("initializer", traits={"revises_mesh"}, slow=True)
+def true_surface_is_not_revised(subject: Subject) -> None:
+    """Given the true surface with a material and a light, it returns that scene, or one whose mesh is as near to the
+    true surface as `surface_is_the_true_one` asks for. It is called with a fitted scene after the reflectance stage.
+    """
+    import torch
+
+    from hir_core.scene import EnvironmentMap, Material
+
+    _, input_capture, initializer = _case(subject)
+    grey, rough = torch.full((3,), 0.3), torch.ones(1)
+    material = Material("dielectric", grey, torch.full((3,), 0.04), rough)
+    fitted = replace(surface_mesh(), material=material, environment=EnvironmentMap(torch.ones(16, 32, 3)))
+    seeded(0)
+    capture, scene = initializer.initialize(input_capture, fitted, subject.folder())
+    require(capture is input_capture, "it changes the capture of a fitted scene; return it as it is")
+    require(scene is not None, "it returns no scene for a fitted one; return that one where there is nothing to revise")
+    assert scene is not None
+    if scene.mesh is fitted.mesh:
+        return
+    vertices = scene.mesh.positions.double().cpu().numpy()
+    require(np.isfinite(vertices).all(), "the revised mesh has vertices that are not finite")
+    half, most = np.quantile(np.abs(distance_to_surface(vertices)), [0.5, 0.95])
+    require(
+        half < 0.03 and most < 0.12,
+        f"it revises the true surface: half of the vertices lie within {half:.3f}, 95 % within {most:.3f} of it",
+    )
+
+
 @contract("initializer", traits={"finds_cameras"}, slow=True)
 def cameras_are_the_true_ones(subject: Subject) -> None:
     """At least nine in ten views get a camera; after the best similarity all centres are within 5 % of the object's

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from hir_core.capture import Array, Capture
 from hir_core.errors import StageError
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
-from hir_plugins.initializers.hollows.photo_prediction import blurred_photographs
+from hir_core.scene.frames import move_scene
+from hir_plugins.initializers.hollows.photo_prediction import BlurredPhotograph, blurred_photographs
 from hir_plugins.initializers.hollows.search import Hollow, find_hollows
 from hir_plugins.initializers.hollows.sunk_volume import sunk
 from hir_plugins.initializers.options import HollowsOptions
@@ -22,6 +23,10 @@ from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length, pixel_size
 from hir_plugins.initializers.surface.swept_surface import SweptSurface, signed_distance_volume
+from hir_plugins.initializers.surface.volume import Volume
+
+if TYPE_CHECKING:
+    from hir_plugins.initializers.hollows.rendered_search import RenderedHollow
 
 SEARCH_VOXELS = 64
 """Along the longest side of the object, where openings are looked for."""
@@ -41,7 +46,11 @@ class Hollows(Initializer):
         self._report: dict[str, object] = {"hollows": []}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
-        """The unchanged capture, and the surface with its hollows. Without a surface `StageError`."""
+        """The unchanged capture, and the surface with its hollows. Without a surface `StageError`.
+
+        Where the scene has a material and a light, hollows are sunk that render more like the photographs; else those
+        whose points look alike from all photographs.
+        """
         del workspace
         if scene is None:
             raise StageError(
@@ -65,7 +74,11 @@ class Hollows(Initializer):
         surface = SweptSurface(vertices, faces)
         search = signed_distance_volume(surface, vertices, 1 / SEARCH_VOXELS)
         photographs = blurred_photographs(moved, BLUR_VOXELS * search.spacing)
-        found = find_hollows(search, photographs, self._config.seed, self._config.max_hollows)
+        found: Sequence[Hollow | RenderedHollow]
+        if scene.material is not None and scene.environment is not None:
+            found = self._rendered_hollows(search, photographs, move_scene(scene, unit), capture.takes)
+        else:
+            found = find_hollows(search, photographs, self._config.seed, self._config.max_hollows)
         self._report = {"hollows": [_described(hollow, search.spacing * extent) for hollow in found]}
         if not found:
             return capture, scene
@@ -80,17 +93,33 @@ class Hollows(Initializer):
         world, triangles = clean_mesh(world, triangles, edge, _MIN_COMPONENT, self._config.seed)
         return capture, make_scene(world, triangles, capture, self._config.vertex_colors)
 
+    def _rendered_hollows(
+        self, search: Volume, photographs: Sequence[BlurredPhotograph], scene: Scene, takes: Sequence[str]
+    ) -> list[RenderedHollow]:
+        from hir_plugins.initializers.hollows.rendered_prediction import Appearance
+        from hir_plugins.initializers.hollows.rendered_search import find_rendered_hollows
+
+        appearance = Appearance.of(scene, takes)
+        return find_rendered_hollows(search, photographs, appearance, self._config.seed, self._config.max_hollows)
+
     def report(self) -> Mapping[str, object]:
         """The hollows: depth in the capture's unit, and the share of the variance of their pixels that they explain."""
         return self._report
 
 
-def _described(hollow: Hollow, voxel: float) -> dict[str, object]:
-    return {
+def _described(hollow: Hollow | RenderedHollow, voxel: float) -> dict[str, object]:
+    described: dict[str, object] = {
         "depth": round(hollow.depth * voxel, 5),
         "explained_before": round(hollow.explained_before, 4),
-        "explained_by_reflection": round(hollow.explained_by_reflection, 4),
         "explained": round(hollow.explained, 4),
-        "explained_from_far": round(hollow.explained_from_far, 4),
         "gain_in_standard_errors": round(hollow.gain, 2),
+    }
+    if isinstance(hollow, Hollow):
+        return described | {
+            "explained_by_reflection": round(hollow.explained_by_reflection, 4),
+            "explained_from_far": round(hollow.explained_from_far, 4),
+        }
+    return described | {
+        "share_of_error_saved": round(hollow.reduction, 4),
+        "explained_by_maps": round(hollow.explained_by_maps, 4),
     }

@@ -34,6 +34,10 @@ class BlurredPhotograph:
     """(H, W, 3), encoded as sRGB, blurred inside the mask."""
     valid: NDArray[np.bool_]
     """(H, W): pixels inside the mask."""
+    gain: NDArray[np.float32]
+    """(3,): the linear colours are radiance × gain."""
+    sigma: float
+    """Standard deviation of the blur, in pixels."""
 
     def seen(self, points: Array, surface: MeshQueries, lift: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Indices of the points (N, 3) that the photograph sees, and their colours there. `lift` is the distance from
@@ -70,11 +74,17 @@ def blurred_photographs(capture: Capture, length: float) -> list[BlurredPhotogra
         if pixels.mask is None:
             continue
         valid = pixels.mask > 0.95
-        weight = gaussian_filter(valid.astype(np.float32), sigma)
-        colors = linear_to_srgb(np.clip(pixels.color_linear, 0, 1)) * valid[..., None]
-        blurred = gaussian_filter(colors.astype(np.float32), (sigma, sigma, 0)) / np.maximum(weight, 1e-3)[..., None]
-        found.append(BlurredPhotograph(camera, take, blurred, valid))
+        blurred = blurred_colors(pixels.color_linear, valid, sigma)
+        found.append(BlurredPhotograph(camera, take, blurred, valid, view.gain, sigma))
     return found
+
+
+def blurred_colors(linear: NDArray[np.floating], valid: NDArray[np.bool_], sigma: float) -> NDArray[np.float32]:
+    """Linear colours (H, W, 3), encoded as sRGB and blurred inside a mask (H, W)."""
+    weight = gaussian_filter(valid.astype(np.float32), sigma)
+    colors = linear_to_srgb(np.clip(linear, 0, 1)) * valid[..., None]
+    total = gaussian_filter(colors.astype(np.float32), (sigma, sigma, 0))
+    return np.asarray(total / np.maximum(weight, 1e-3)[..., None])
 
 
 def color_variance(

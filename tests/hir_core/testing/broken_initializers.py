@@ -64,6 +64,15 @@ class SceneAlone(FromFile):
         return super().initialize(capture, scene, workspace)[1]
 
 
+class Inflates(FromFile):
+    """Sound in the chain, wrong when it is asked again."""
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        if scene is None or scene.environment is None:
+            return super().initialize(capture, scene, workspace)
+        return capture, replace(scene, mesh=scene.mesh.with_positions(1.2 * scene.mesh.positions))
+
+
 class NeedsAView(FromFile):
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         capture.views[0].pixels()
@@ -112,7 +121,7 @@ def surface(implementation: type = FromFile) -> Component:
         "Reads the truth.",
         ("torch", "jaxtyping"),
         "reconstruct",
-        frozenset({"makes_surface"}),
+        frozenset({"makes_surface", "revises_mesh"} if implementation is Inflates else {"makes_surface"}),
         testing="hir_plugins.initializers.contract_inputs:object_mesh_file",
     )
 
@@ -133,6 +142,7 @@ def cameras(implementation: type = CamerasFromFile) -> Component:
 BROKEN_INITIALIZERS: dict[str, Component] = {
     "returns_capture_and_scene": surface(SceneAlone),
     "surface_is_the_true_one": surface(Flipped),
+    "true_surface_is_not_revised": surface(Inflates),
     "cameras_are_the_true_ones": cameras(InAMirror),
     "views_are_kept": surface(ForgetsOne),
     "unusable_captures_are_refused": surface(NeedsAView),

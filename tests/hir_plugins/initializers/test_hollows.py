@@ -15,7 +15,7 @@ from hir_core.errors import ConfigError, StageError
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.options import build_options
 from hir_core.scene import Scene
-from hir_plugins.initializers.hollows import search
+from hir_plugins.initializers.hollows import outline_search, search
 from hir_plugins.initializers.hollows.hollows import Hollows
 from hir_plugins.initializers.hollows.openings import Opening, find_openings, surface_cells
 from hir_plugins.initializers.hollows.photo_prediction import (
@@ -102,10 +102,10 @@ def height_inside(scene: Scene) -> float:
     return 2.0 - float(queries.first_distances(np.array([[0.0, 2.0, 0.0]]), down)[0])
 
 
-@pytest.mark.parametrize("sectors", [4, pytest.param(search.SECTORS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sectors", [4, pytest.param(outline_search.SECTORS, marks=pytest.mark.slow)])
 def test_a_cup_is_hollow(sectors: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """With fewer sectors there are fewer outlines to try, which takes most of the time."""
-    monkeypatch.setattr(search, "SECTORS", sectors)
+    monkeypatch.setattr(outline_search, "SECTORS", sectors)
     capture = photographed(cup(), painted)
     hull = hull_of(capture)
     assert height_inside(hull) > 0.3
@@ -141,7 +141,7 @@ def test_reflections_explain_a_metal_and_no_opening() -> None:
         volume = signed_distance_volume(SweptSurface(vertices, hull.mesh.faces.numpy()), vertices, 1.2 / 64)
         seen = blurred_photographs(capture, volume.spacing)
         pixels = {i: np.argwhere(np.tril(photograph.valid))[::9, ::-1] for i, photograph in enumerate(seen)}
-        found = reflection_errors(pixels, volume, search.smooth_surface(volume), seen)
+        found = reflection_errors(pixels, volume, MeshQueries(*outline_search.smooth_triangles(volume)), seen)
         shares = []
         for i, errors in found.items():
             own = seen[i].colors[pixels[i][:, 1], pixels[i][:, 0]]
@@ -305,10 +305,10 @@ def test_a_flat_hollow_must_explain_more(depth: float, explained: float, from_fa
 
 def test_an_opening_like_a_rejected_one_is_not_tried_again_and_a_hole_in_it_is() -> None:
     opening, rejected = lid_of_the_box(6), lid_of_the_box(7)
-    assert search._is_nearly(opening, rejected) and search._is_nearly(rejected, opening)
-    assert not search._is_nearly(lid_of_the_box(3), rejected)
-    assert not search._is_nearly(opposite(opening), rejected)
-    assert not search._is_nearly(replace(opening, level=opening.level - 10), rejected)
+    assert outline_search.is_nearly(opening, rejected) and outline_search.is_nearly(rejected, opening)
+    assert not outline_search.is_nearly(lid_of_the_box(3), rejected)
+    assert not outline_search.is_nearly(opposite(opening), rejected)
+    assert not outline_search.is_nearly(replace(opening, level=opening.level - 10), rejected)
 
 
 @pytest.mark.parametrize("thickness", [0, 1, 2])

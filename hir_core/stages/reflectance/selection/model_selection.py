@@ -14,6 +14,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hir_core.capture.photograph_exposures import Exposures
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import ConfigError
@@ -114,6 +117,8 @@ class Selection(Generic[FitT]):
     shape: ShapeComparison[FitT] | None = None
     """None where there was one shape."""
     exposures: ExposureSelection = EQUAL
+    held_out_errors: NDArray[np.float64] | None = None
+    """Mean squared errors of the selected model on held-out views; None where nothing was compared."""
     lamp: LampComparison | None = None
     """Whether hypotheses with a lamp took part; None where the settings or the solver leave them out."""
 
@@ -227,6 +232,7 @@ def select_model(
         tuple(refinement.comparisons),
         shape,
         shown,
+        refinement.fit.errors,
         lamp,
     )
 

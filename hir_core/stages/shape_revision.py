@@ -1,0 +1,146 @@
+"""Shape after material: initializers revise the mesh with the fitted material and light, held-out views decide.
+
+The first mesh comes from photographs alone. Where a surface reflects other parts of the object, photographs say little
+about it before the material and the light are known. A revised mesh is fitted like the first one: geometry, atlas,
+material and light. It replaces the first one where photographs that no fit has seen are explained better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from hir_core.config import RunConfig
+from hir_core.plugins.interfaces import Initializer
+from hir_core.plugins.manager import PluginManager
+from hir_core.plugins.progress import Progress
+from hir_core.run.stage_context import StageContext, forward_warnings
+from hir_core.stages.atlas import unwrap
+from hir_core.stages.geometry.geometry_fit import fit_geometry
+from hir_core.stages.reflectance.reflectance_fit import FittedReflectance, fit_reflectance
+from hir_core.stages.reflectance.reflectance_report import RevisionReport
+from hir_core.stages.reflectance.selection.held_out_comparison import is_within_noise, paired_gain
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from torch import Tensor
+
+    from hir_core.capture import Capture
+    from hir_core.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class _RevisedMesh:
+    """What the initializers made of the fitted scene."""
+
+    scene: Scene
+    details: Mapping[str, Mapping[str, Any]]
+    """The report of each initializer that was asked."""
+    changed: bool
+
+
+def fit_reflectance_and_revise(
+    scene: Scene,
+    capture: Capture,
+    config: RunConfig,
+    context: StageContext,
+    silhouette_positions: Float[Tensor, "V 3"] | None = None,
+) -> FittedReflectance:
+    """`fit_reflectance`, a second time on the mesh that the initializers of the chain with the trait `revises_mesh`
+    make of its result, where they change it.
+
+    Not where the settings switch the geometry stage off, or where no held-out views judge a fit.
+    """
+    warnings: list[str] = []
+    first = fit_reflectance(
+        scene, capture, config.reflectance, replace(context, warn=warnings.append), silhouette_positions
+    )
+    names = revising_initializers(config, context.plugins)
+    if not names or first.held_out_errors is None:
+        _repeat(warnings, context)
+        return first
+    revised = _revised(first, capture, config, names, context)
+    if not revised.changed:
+        _repeat(warnings, context)
+        return _reported(first, RevisionReport(tuple(names), revised.details, changed=False))
+    warnings_of_second: list[str] = []
+    second = _fitted_again(revised.scene, capture, config, replace(context, warn=warnings_of_second.append))
+    assert second.held_out_errors is not None
+    gain, standard_error = paired_gain(first.held_out_errors, second.held_out_errors)
+    accepted = gain > 0
+    views = len(first.held_out_errors)
+    report = RevisionReport(
+        tuple(names),
+        revised.details,
+        True,
+        accepted,
+        round(gain, 3),
+        round(standard_error, 3),
+        views,
+        is_within_noise(gain, standard_error, views),
+        _sentence(gain, standard_error, accepted),
+    )
+    _repeat(warnings_of_second if accepted else warnings, context)
+    return _reported(second if accepted else first, report)
+
+
+def revising_initializers(config: RunConfig, plugins: PluginManager) -> list[str]:
+    """Those of the resolved chain that revise a mesh after the material is known; none where the settings forbid it."""
+    if not (config.reflectance.revise_mesh and config.geometry.enabled):
+        return []
+    return [
+        name for name in config.initializers if "revises_mesh" in plugins.find("initializer", name).component.traits
+    ]
+
+
+def _revised(
+    fitted: FittedReflectance, capture: Capture, config: RunConfig, names: list[str], context: StageContext
+) -> _RevisedMesh:
+    exposed = fitted.exposures.applied_to(capture)
+    scene, details, changed = fitted.scene, {}, False
+    for name in names:
+        context.report(Progress("reflectance", 0, 1, 0.0, message=f"{name} with the fitted material"))
+        initializer: Initializer = context.plugins.create(
+            "initializer", name, config.initializer.get(name), context.seed, context.device
+        )
+        workspace = context.workspace / f"revision-{name}"
+        workspace.mkdir(parents=True, exist_ok=True)
+        with forward_warnings(context):
+            _, found = initializer.initialize(exposed, scene, workspace)
+        details[name] = dict(initializer.report())
+        if found is not None and found.mesh is not scene.mesh:
+            scene, changed = replace(scene, mesh=found.mesh), True
+    return _RevisedMesh(scene, details, changed)
+
+
+def _fitted_again(scene: Scene, capture: Capture, config: RunConfig, context: StageContext) -> FittedReflectance:
+    """Geometry, atlas, material and light on a revised mesh, from the beginning: a first wrong mesh led to a wrong
+    material.
+    """
+
+    def report(progress: Progress) -> None:
+        # curves and milestones are those of the first fit
+        message = f"revised mesh: {progress.message or progress.stage}"
+        context.report(replace(progress, stage="reflectance", message=message, scalars={}, milestone=""))
+
+    again = replace(context, workspace=context.checkpoints / "revised", report=report)
+    again.workspace.mkdir(parents=True, exist_ok=True)
+    bare = replace(scene, material=None, environment=None, take_radiance={})
+    geometry, _ = fit_geometry(bare.to(context.device), capture, config.geometry, again)
+    unwrapped, _ = unwrap(geometry.scene, capture, config.atlas, again)
+    return fit_reflectance(unwrapped, capture, config.reflectance, again, geometry.silhouette_positions)
+
+
+def _reported(fitted: FittedReflectance, revision: RevisionReport) -> FittedReflectance:
+    return replace(fitted, report=replace(fitted.report, revision=revision))
+
+
+def _repeat(warnings: list[str], context: StageContext) -> None:
+    for sentence in warnings:
+        context.warn(sentence)
+
+
+def _sentence(gain: float, standard_error: float, accepted: bool) -> str:
+    kept = "the revised mesh is kept" if accepted else "the first mesh is kept"
+    return f"{kept}: with the revised one held-out views gain {gain:.1f} ± {standard_error:.1f} dB"
