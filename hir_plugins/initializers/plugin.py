@@ -111,7 +111,7 @@ HOLLOWS = Component(
     target="hir_plugins.initializers.hollows.hollows:Hollows",
     config=HollowsOptions,
     summary="Sinks openings of the visual hull, such as a mug's, as deep as explains the photographs best.",
-    requires=("torch", "jaxtyping", "open3d", "cv2", "skimage", "scipy"),
+    requires=("torch", "jaxtyping", "open3d", "cv2", "skimage", "scipy", "mitsuba", "drjit"),
     extra="reconstruct",
     traits=frozenset({"needs_cameras", "needs_masks", "needs_surface", "makes_surface", "revises_mesh"}),
 )

@@ -195,6 +195,19 @@ def test_model_selection_shows_times_and_refinements() -> None:
     assert "1.50 ± 0.10 dB" in section([], comparisons=[], model="diffuse", albedo_refinement=REFINEMENT)
 
 
+def test_a_revised_mesh_is_said() -> None:
+    sentence = "the revised mesh is kept: with the revised one held-out views gain 1.4 ± 0.6 dB"
+    revision = {"changed": True, "accepted": True, "held_out_views": 6, "near_tie": True, "sentence": sentence}
+    report = {"comparisons": [comparison_entry("a")], "revision": revision}
+    document = {"stages": {"reflectance": {"report": report}}}
+    page = model_selection_table.model_selection(document, [2.0])
+    assert f"Material and light showed another mesh; {sentence} (6 views). The gain is within noise." in page
+    assert not re.findall(r">(\d+) s<", page), "the times are those of the first mesh"
+    assert decisions(document) == {"mesh": sentence}
+    report["revision"] = {"changed": False, "accepted": False, "sentence": ""}
+    assert "another mesh" not in model_selection_table.model_selection(document, []) and decisions(document) == {}
+
+
 def test_where_the_scale_comes_from_is_said() -> None:
     report = {"light_scale": {"source": "card", "sentence": "from the card; the light agrees"}}
     document = {"stages": {"reflectance": {"report": report}}}

@@ -130,12 +130,12 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
         config = RunConfig(initializers=("reviser",), initializer={"reviser": {"changes": changes}})
         for stage, values in settings.items():
             config = replace(config, **{stage: replace(getattr(config, stage), **values)})
-        told: list[str] = []
+        warned: list[str] = []
         shown: list[Progress] = []
-        context = StageContext(plugins, tmp_path, report=shown.append, warn=told.append)
+        context = StageContext(plugins, tmp_path, report=shown.append, warn=warned.append)
         capture = Capture(Path("made-in-memory"), ())
         found = shape_revision.fit_reflectance_and_revise(surface_mesh(16), capture, config, context)
-        return Outcome(found, fits, told, shown)
+        return Outcome(found, fits, warned, shown)
 
     return revised
 
