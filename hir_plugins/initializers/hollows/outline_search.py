@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -31,6 +32,9 @@ OUTLINE_DETAIL = 1.5
 
 SAME_SHARE = 0.01
 """Share of the explained error by which another depth may be worse and counts as equal."""
+
+
+SearchT = TypeVar("SearchT", bound="OutlineSearch")
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,17 @@ class OutlineSearch(ABC):
     def explained(self, found: Sunk) -> float:
         """Share of the variance of the pixels."""
         return self.window.explained(found.errors)
+
+
+def refined_twice(search: SearchT, first: Sunk, search_of: Callable[[Opening], SearchT | None]) -> tuple[SearchT, Sunk]:
+    """The refined outline of an opening, and the search in whose window it was found: that of a first outline which was
+    too small does not show how much larger it is. `search_of` makes one; None where too few photographs look in.
+    """
+    found = search.refined(first, FIRST_STEPS)
+    wider = search_of(found.opening)
+    if wider is None:
+        return search, found
+    return wider, wider.refined(wider.sunk(found.opening, found.depth), STEPS)
 
 
 def smooth_triangles(volume: Volume) -> tuple[Floats, np.ndarray]:

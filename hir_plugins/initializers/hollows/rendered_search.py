@@ -14,12 +14,12 @@ from hir_plugins.initializers.hollows.openings import Opening, find_openings, su
 from hir_plugins.initializers.hollows.outline_search import (
     CANDIDATES,
     FIRST_STEPS,
-    STEPS,
     OutlineSearch,
     Sunk,
     gain_in_standard_errors,
     is_nearly,
     least_gain,
+    refined_twice,
     smooth_triangles,
 )
 from hir_plugins.initializers.hollows.photo_prediction import BlurredPhotograph
@@ -160,11 +160,6 @@ class _RenderedSearch(OutlineSearch):
         """With all that decides whether it is one."""
         inside = self._pixels_inside(found.opening)
         repainted = self._errors(self.sunk_volume(found.opening, found.depth), inside)
-        pictures = self.pictures()
-        by_maps = {
-            i: ((pictures[i] - self.photographs[i].colors)[chosen[:, 1], chosen[:, 0]] ** 2).sum(axis=1)
-            for i, chosen in self.window.pixels.items()
-        }
         return RenderedHollow(
             found.opening,
             found.depth,
@@ -174,9 +169,18 @@ class _RenderedSearch(OutlineSearch):
             self.reduction(found),
             _gain(self.before, found.errors),
             self.window.explained(repainted),
-            self.window.explained(self.window.means(by_maps)),
+            self.explained_by_maps(),
             len(self.before),
         )
+
+    def explained_by_maps(self) -> float:
+        """Share of the variance of the pixels that the fitted mesh explains with all its maps."""
+        pictures = self.pictures()
+        errors = {
+            i: ((pictures[i] - self.photographs[i].colors)[chosen[:, 1], chosen[:, 0]] ** 2).sum(axis=1)
+            for i, chosen in self.window.pixels.items()
+        }
+        return self.window.explained(self.window.means(errors))
 
     def _pixels_inside(self, opening: Opening) -> dict[int, NDArray[np.bool_]]:
         """Whether each pixel of the window looks into an opening, and not at what is around it."""
@@ -224,13 +228,11 @@ def _find_hollow(
     for _, search, sunk_once in sorted(searches, key=lambda each: -each[0]):
         if len(rejected) == REFINED:
             break
-        if search.reduction(sunk_once) < PROMISING or any(is_nearly(sunk_once.opening, each) for each in rejected):
+        if search.reduction(sunk_once) < PROMISING or search.explained_by_maps() >= WELL_EXPLAINED:
             continue
-        found = search.refined(sunk_once, FIRST_STEPS)
-        # the window of a first outline that was too small does not show how much larger it is
-        wider = search_of(found.opening)
-        if wider is not None:
-            search, found = wider, wider.refined(wider.sunk(found.opening, found.depth), STEPS)
+        if any(is_nearly(sunk_once.opening, each) for each in rejected):
+            continue
+        search, found = refined_twice(search, sunk_once, search_of)
         hollow = search.hollow(found)
         if hollow.is_confirmed:
             return hollow

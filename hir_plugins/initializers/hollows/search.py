@@ -10,12 +10,12 @@ from hir_plugins.initializers.hollows.openings import Opening, find_openings, su
 from hir_plugins.initializers.hollows.outline_search import (
     CANDIDATES,
     FIRST_STEPS,
-    STEPS,
     OutlineSearch,
     Sunk,
     gain_in_standard_errors,
     is_nearly,
     least_gain,
+    refined_twice,
     smooth_triangles,
 )
 from hir_plugins.initializers.hollows.photo_prediction import (
@@ -136,11 +136,7 @@ def _find_hollow(volume: Volume, solid: Solid, photographs: Sequence[BlurredPhot
             continue
         if any(is_nearly(sunk_once.opening, other) for other in rejected):
             continue
-        found = search.refined(sunk_once, FIRST_STEPS)
-        # the window of a first outline that was too small does not show how much larger it is
-        wider = search_of(found.opening)
-        if wider is not None:
-            search, found = wider, wider.refined(wider.sunk(found.opening, found.depth), STEPS)
+        search, found = refined_twice(search, sunk_once, search_of)
         hollow = search.hollow(found)
         if hollow.is_confirmed:
             return hollow
