@@ -97,8 +97,9 @@ def revising_initializers(config: RunConfig, plugins: PluginManager) -> list[str
 def _revised(
     fitted: FittedReflectance, capture: Capture, config: RunConfig, names: list[str], context: StageContext
 ) -> _RevisedMesh:
+    """By the first initializer that changes the mesh: others would need a fit to the changed one."""
     exposed = fitted.exposures.applied_to(capture)
-    scene, details, changed = fitted.scene, {}, False
+    details = {}
     for name in names:
         context.report(Progress("reflectance", 0, 1, 0.0, message=f"{name} with the fitted material"))
         initializer: Initializer = context.plugins.create(
@@ -107,11 +108,11 @@ def _revised(
         workspace = context.workspace / f"revision-{name}"
         workspace.mkdir(parents=True, exist_ok=True)
         with forward_warnings(context):
-            _, found = initializer.initialize(exposed, scene, workspace)
+            _, found = initializer.initialize(exposed, fitted.scene, workspace)
         details[name] = dict(initializer.report())
-        if found is not None and found.mesh is not scene.mesh:
-            scene, changed = replace(scene, mesh=found.mesh), True
-    return _RevisedMesh(scene, details, changed)
+        if found is not None and found.mesh is not fitted.scene.mesh:
+            return _RevisedMesh(replace(fitted.scene, mesh=found.mesh), details, True)
+    return _RevisedMesh(fitted.scene, details, False)
 
 
 def _fitted_again(scene: Scene, capture: Capture, config: RunConfig, context: StageContext) -> FittedReflectance:
