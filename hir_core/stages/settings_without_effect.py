@@ -37,6 +37,8 @@ def settings_without_effect(config: RunConfig, plugins: PluginManager) -> dict[s
     by_solver = offers_solver and settings.method != "gradient"
     changed = set(_changed(asdict(settings), asdict(preset.reflectance)))
     found |= _broken_rules("reflectance", _reflectance_rules(settings, by_solver, "regularizers" in traits), changed)
+    if "revise_mesh" in changed and (reason := _why_no_mesh_is_revised(config, by_solver, plugins)):
+        found["reflectance.revise_mesh"] = reason
     for renderer, name in _changed_options(config.reflectance_renderer, preset.reflectance_renderer):
         reason = _option_reason(renderer, name, settings, by_solver, plugins)
         if reason:
@@ -238,6 +240,23 @@ def _reflectance_rules(settings: ReflectanceSettings, by_solver: bool, takes_ter
             "the model 'diffuse' has no specular lobe; choose another reflectance.model",
         ),
     ]
+
+
+def _why_no_mesh_is_revised(config: RunConfig, by_solver: bool, plugins: PluginManager) -> str:
+    """Whatever `reflectance.revise_mesh` says; empty where it decides."""
+    if not config.geometry.enabled:
+        return "the mesh is kept as it is; set geometry.enabled to true"
+    if not by_solver or config.reflectance.model != "auto":
+        return (
+            "held-out views judge a revised mesh, and this fit compares no models; set reflectance.method and "
+            "reflectance.model to 'auto' and choose a reflectance.renderer with a solver"
+        )
+    chain = config.initializers
+    if chain != "auto" and not any(
+        "revises_mesh" in plugins.find("initializer", name).component.traits for name in chain
+    ):
+        return f"no initializer of {_written(chain)} revises a mesh; name one with the trait revises_mesh"
+    return ""
 
 
 def _option_reason(

@@ -144,4 +144,5 @@ def _repeat(warnings: list[str], context: StageContext) -> None:
 
 def _sentence(gain: float, standard_error: float, accepted: bool) -> str:
     kept = "the revised mesh is kept" if accepted else "the first mesh is kept"
-    return f"{kept}: with the revised one held-out views gain {gain:.1f} ± {standard_error:.1f} dB"
+    change = "gain" if gain >= 0 else "lose"
+    return f"{kept}: with the revised one held-out views {change} {abs(gain):.1f} ± {standard_error:.1f} dB"

@@ -62,6 +62,10 @@ WITHOUT_EFFECT = [
     ("reflectance.brdf=paper", [DIFFUSE], "reflectance.model"),
     ("reflectance.initial_roughness=0.2", [DIFFUSE], "reflectance.model"),
     ("reflectance.initial_specular_albedo=0.2", [DIFFUSE], "reflectance.model"),
+    ("reflectance.revise_mesh=false", [GRADIENT], "with a solver"),
+    ("reflectance.revise_mesh=false", [DIFFUSE], "reflectance.model"),
+    ("reflectance.revise_mesh=false", ["geometry.enabled=false"], "geometry.enabled"),
+    ("reflectance.revise_mesh=false", [HULL], "trait revises_mesh"),
     (f"{T}steps=7", [GRADIENT], "'auto'"),
     (f"{T}steps=7", [MITSUBA], "reflectance.renderer"),
     (f"{T}light_smoothness=1", [KNOWN], "known_environment"),
@@ -77,6 +81,8 @@ WITHOUT_EFFECT = [
 ]
 
 WITH_EFFECT = [
+    ("reflectance.revise_mesh=false", []),
+    ("reflectance.revise_mesh=false", ['initializers=["visual_hull", "hollows"]']),
     ("geometry.iterations=7", []),
     ("geometry.smoothness=7", []),
     ("geometry.levels=2", []),

@@ -151,7 +151,7 @@ def test_held_out_views_decide_between_both_meshes(run: Run, factor: float, acce
     assert revision is not None and revision["details"] == {"reviser": {"moved": True}}
     assert revision["accepted"] is accepted and revision["held_out_views"] == 6 and not revision["near_tie"]
     assert revision["gain_db"] == pytest.approx(3.01 if accepted else -3.01, abs=0.01)
-    assert "held-out views gain" in revision["sentence"]
+    assert f"held-out views {'gain' if accepted else 'lose'} 3.0 ±" in revision["sentence"]
     assert f"warning of fit {1 + accepted}; look at it" in outcome.warnings
     assert f"warning of fit {2 - accepted}; look at it" not in outcome.warnings
     assert "the opening is dark; add a lamp" in outcome.warnings
