@@ -145,7 +145,7 @@ def _geometry_settings_without_effect(settings: GeometrySettings, preset: Geomet
             "the initial mesh is fitted as it is; set geometry.remesh to true",
         ),
         _Rule(
-            ("photo_consistency_iterations",),
+            ("photo_consistency_iterations", "occlusion_boundary_iterations"),
             settings.photo_consistency == "off",
             "the stage ends with the silhouettes; set geometry.photo_consistency to 'auto'",
         ),

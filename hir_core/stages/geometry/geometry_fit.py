@@ -40,6 +40,11 @@ from hir_core.stages.geometry.geometry_report import (
 )
 from hir_core.stages.geometry.level_plan import level_count, triangles_of_level
 from hir_core.stages.geometry.measured_depths.depth_term import depth_rays
+from hir_core.stages.geometry.occlusion_boundaries.boundary_refinement import refine_occlusion_boundaries
+from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
+    OcclusionBoundariesReport,
+    OcclusionBoundariesSkipped,
+)
 from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
 from hir_core.stages.geometry.photo_refinement import refine_by_photo_consistency
 from hir_core.stages.geometry.silhouette_fit import SilhouetteFit, fit_level
@@ -54,7 +59,7 @@ class FittedGeometry:
     scene: Scene
     """With the fitted mesh."""
     silhouette_positions: Float[Tensor, "V 3"] | None = None
-    """Vertices before photo-consistency moved them; None where it did not."""
+    """Vertices before photographs moved them; None where they did not."""
 
 
 def fit_geometry(
@@ -83,7 +88,13 @@ def fit_geometry(
     photo_consistency = PhotoConsistencySkipped("left out by the settings")
     if settings.photo_consistency == "auto":
         mesh, photo_consistency = refine_by_photo_consistency(mesh, capture, fit.iou, fit.held_out, settings, context)
-    earlier = silhouette_mesh if photo_consistency.accepted else None
+    occlusion_boundaries: OcclusionBoundariesReport | OcclusionBoundariesSkipped
+    occlusion_boundaries = OcclusionBoundariesSkipped("left out by the settings")
+    if settings.photo_consistency == "auto" and settings.occlusion_boundary_iterations > 0:
+        mesh, occlusion_boundaries = refine_occlusion_boundaries(
+            mesh, capture, fit.iou, fit.held_out, settings, context
+        )
+    earlier = silhouette_mesh if photo_consistency.accepted or occlusion_boundaries.accepted else None
     mesh, after = _repair(mesh, before.self_intersecting, earlier)
     if earlier is not None:
         earlier, _ = _repair(earlier, before.self_intersecting, None)
@@ -108,6 +119,7 @@ def fit_geometry(
         mesh=MeshChange(before, after),
         levels=levels,
         photo_consistency=photo_consistency,
+        occlusion_boundaries=occlusion_boundaries,
         sensor_depth=None
         if fit.depth is None or initial_distance is None
         else SensorDepthReport(len(fit.depth.points), initial_distance, fit.depth.median_distance(mesh)),

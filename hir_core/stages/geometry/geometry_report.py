@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hir_core.mesh.mesh_validity import MeshState
+from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
+    OcclusionBoundariesReport,
+    OcclusionBoundariesSkipped,
+)
 from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
 
 
@@ -85,6 +89,7 @@ class GeometryReport:
     mesh: MeshChange
     levels: list[LevelReport]
     photo_consistency: PhotoConsistencyReport | PhotoConsistencySkipped
+    occlusion_boundaries: OcclusionBoundariesReport | OcclusionBoundariesSkipped
     sensor_depth: SensorDepthReport | None
     """None where no measured depth took part."""
     curves: CurvesReport

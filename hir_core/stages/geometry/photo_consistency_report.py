@@ -39,6 +39,10 @@ class ConfirmedShare:
     near_tie: bool
     """Student's 95 % interval of the gain contains 0, or the share is between 0.1 and 0.9."""
 
+    def rounded(self) -> ConfirmedShare:
+        """For the report."""
+        return ConfirmedShare(round(self.share, 4), round(self.gain, 5), round(self.noise, 5), self.near_tie)
+
 
 @dataclass(frozen=True)
 class ErrorChange:

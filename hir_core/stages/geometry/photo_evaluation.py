@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -22,6 +23,9 @@ HUBER_DELTA_CONTRAST = 0.5
 """In units of local contrast: a larger difference is an outlier, such as an occluder or a highlight."""
 
 EVALUATED_PIXELS_PER_VIEW = 2000
+
+IOU_LOSS_MAX = 0.002
+"""Of the held-out views' silhouettes; the vertices go only as far as that."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,29 @@ def confirmed_share(
     share = length * weight
     near_tie = abs(gain) < float(stdtrit(count - 1, 0.975)) * noise or 0.1 < share < 0.9
     return ConfirmedShare(share, gain, noise, near_tie)
+
+
+def confirmed_movement(
+    start: Mesh, end: Mesh, evaluated: Callable[[Mesh], HeldOutEvaluation], lengths: Sequence[float], least_gain: float
+) -> tuple[ConfirmedShare, tuple[float, float]]:
+    """The share of the way from `start` to `end` that the judging views confirm, as far as silhouettes allow it, and
+    the IoU at both ends of that part.
+
+    The meshes at `lengths` (0, …, 1) of the way are evaluated.
+    """
+    found = [evaluated(interpolated(start, end, length)) for length in lengths]
+    confirmed = confirmed_share(lengths, np.stack([each.errors for each in found]), least_gain)
+    iou = [each.iou for each in found]
+    share = min(confirmed.share, _allowed_by_iou(lengths, iou))
+    return replace(confirmed, share=share), (iou[0], float(np.interp(share, lengths, iou)))
+
+
+def _allowed_by_iou(lengths: Sequence[float], iou: Sequence[float]) -> float:
+    """Where the loss of IoU along the line, linear in between, exceeds `IOU_LOSS_MAX` for the first time; else 1."""
+    for (near, loss), (far, next_loss) in pairwise(zip(lengths, [iou[0] - value for value in iou], strict=True)):
+        if next_loss > IOU_LOSS_MAX:
+            return near + (far - near) * (IOU_LOSS_MAX - loss) / (next_loss - loss)
+    return 1.0
 
 
 def _parabola(lengths: NDArray[np.float64], change: NDArray[np.float64]) -> tuple[float, float]:

@@ -11,8 +11,7 @@ the judging views too.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from itertools import groupby, pairwise
+from itertools import groupby
 
 import numpy as np
 from jaxtyping import Float
@@ -26,7 +25,6 @@ from hir_core.scene import Mesh
 from hir_core.stages.geometry.detail_images import DetailImages, finest_downsample
 from hir_core.stages.geometry.photo_consistency import neighbouring_views
 from hir_core.stages.geometry.photo_consistency_report import (
-    ConfirmedShare,
     ErrorChange,
     HeldOutIou,
     PassReport,
@@ -35,7 +33,7 @@ from hir_core.stages.geometry.photo_consistency_report import (
 )
 from hir_core.stages.geometry.photo_evaluation import (
     HeldOutEvaluation,
-    confirmed_share,
+    confirmed_movement,
     evaluate_held_out,
     interpolated,
     mean_known,
@@ -61,9 +59,6 @@ photo-consistency does not measure that, but highlights show it."""
 
 LEAST_ERROR = 1e-4
 """Below it there is nothing to lower: photographs without detail are consistent with every surface."""
-
-IOU_LOSS_MAX = 0.002
-"""Of the held-out views' silhouettes; the vertices go only as far as that."""
 
 
 def refine_by_photo_consistency(
@@ -108,9 +103,9 @@ def refine_by_photo_consistency(
             candidates |= dict.fromkeys(candidates if plan.shared else [plan.smoothness], fitted)
             reports.append(_pass_report(plan, curve))
     smooth, fine = candidates.values()
-    to_fine = _search(smooth, fine, evaluated, LEAST_FINE_GAIN)
+    to_fine, _ = confirmed_movement(smooth, fine, evaluated, LINE, LEAST_FINE_GAIN)
     selected = interpolated(smooth, fine, to_fine.share)
-    movement = _search(mesh, selected, evaluated, LEAST_GAIN)
+    movement, _ = confirmed_movement(mesh, selected, evaluated, LINE, LEAST_GAIN)
     result = mesh
     if movement.share > 0:
         everything = [i for i in range(len(views)) if i not in set(held_out)]
@@ -123,8 +118,8 @@ def refine_by_photo_consistency(
         accepted=movement.share > 0,
         judging_views=[views[i].name for i in judges],
         levels=reports,
-        movement=_rounded(movement),
-        fine=_rounded(to_fine),
+        movement=movement.rounded(),
+        fine=to_fine.rounded(),
         held_out_error=ErrorChange(
             mean_known(before.errors[[i in set(held_out) for i in judges]]), mean_known(after.errors)
         ),
@@ -133,30 +128,9 @@ def refine_by_photo_consistency(
     return result, report
 
 
-def _search(
-    start: Mesh, end: Mesh, evaluated: Callable[[Mesh], HeldOutEvaluation], least_gain: float
-) -> ConfirmedShare:
-    """The share of the way from `start` to `end` that the judging views confirm, as far as silhouettes allow it."""
-    found = [evaluated(interpolated(start, end, length)) for length in LINE]
-    confirmed = confirmed_share(LINE, np.stack([each.errors for each in found]), least_gain)
-    return replace(confirmed, share=min(confirmed.share, _allowed_by_iou([each.iou for each in found])))
-
-
-def _allowed_by_iou(iou: Sequence[float]) -> float:
-    """Where the loss of IoU along `LINE`, linear in between, exceeds `IOU_LOSS_MAX` for the first time; else 1."""
-    for (near, loss), (far, next_loss) in pairwise(zip(LINE, [iou[0] - value for value in iou], strict=True)):
-        if next_loss > IOU_LOSS_MAX:
-            return near + (far - near) * (IOU_LOSS_MAX - loss) / (next_loss - loss)
-    return 1.0
-
-
 def _pass_report(plan: Pass, curve: NDArray[np.floating]) -> PassReport:
     ends = [round(float(v), 5) for v in _means_of_ends(curve)]
     return PassReport(plan.smoothness, plan.downsample, plan.shared, ends)
-
-
-def _rounded(found: ConfirmedShare) -> ConfirmedShare:
-    return ConfirmedShare(round(found.share, 4), round(found.gain, 5), round(found.noise, 5), found.near_tie)
 
 
 def _downsample_factors(capture: Capture, downsample: int) -> list[int]:

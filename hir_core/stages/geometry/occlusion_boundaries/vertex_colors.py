@@ -1,0 +1,149 @@
+"""The colour of each vertex as other photographs show it: what a view is predicted from before material and light are
+known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from hir_core.mesh.ray_casting import MeshQueries
+from hir_core.scene import Mesh
+from hir_core.stages.geometry.occlusion_boundaries.depth_jumps import LEAST_JUMP_PIXELS, beside_jumps, depth_map
+from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewPhotographs
+from hir_core.stages.geometry.photo_consistency import LEAST_COSINE
+
+ANGLE_DEG = 20.0
+"""A photograph whose direction is this far from the predicted view's, when the nearest one has the same direction,
+weighs 1/e of it."""
+
+LEAST_WEIGHT = 1e-3
+"""Sum of weights below which a vertex counts as unseen."""
+
+FILLED_RINGS = 6
+"""Unseen vertices take the mean colour of their seen neighbours, so often. The pixels beside a boundary are not used as
+colours; these rings bridge them."""
+
+SMOOTHED_RINGS = 3
+"""Of the variance, which few photographs measure at each vertex."""
+
+
+class VertexColors:
+    """sRGB colours of the vertices of a mesh in the named views, and predictions from them."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        photographs: ViewPhotographs,
+        views: Sequence[int],
+        neighbours: Sequence[Sequence[int]],
+        tracer: MeshQueries,
+    ) -> None:
+        """`neighbours` has, for each view, those that it may be predicted from; others than `views` are ignored."""
+        self._edges = mesh.topology.edges
+        self._column = {view: i for i, view in enumerate(views)}
+        self._neighbours = neighbours
+        count, device = len(mesh.positions), mesh.positions.device
+        self._colors = torch.zeros(count, len(views), 3, dtype=torch.float16, device=device)
+        self._weights = torch.zeros(count, len(views), dtype=torch.float16, device=device)
+        normals = mesh.normals.detach()
+        for view, column in self._column.items():
+            colors, weights = _observed(mesh.positions.detach(), normals, photographs, view, tracer)
+            self._colors[:, column], self._weights[:, column] = colors.half(), weights.half()
+        directions = normalize(photographs.centers, dim=1)
+        angle = torch.rad2deg(torch.arccos((directions @ directions.T).clamp(-1, 1)))
+        self._angle = angle.float()
+
+    def predicted(self, views: Sequence[int]) -> tuple[Float[Tensor, "V B 3"], Bool[Tensor, "V B"]]:
+        """The colours that each view is expected to show, of photographs of other views, and where they are known."""
+        parts = [self._from_neighbours(view) for view in views]
+        colors, known = (torch.stack([part[k] for part in parts], dim=1) for k in (0, 1))
+        return self._filled(colors, known, FILLED_RINGS)
+
+    def variance(self) -> Float[Tensor, " V"]:
+        """Mean squared error of the predictions (sum over the channels) at each vertex and around it, over the views
+        that see it; the median of all where none does.
+        """
+        total = torch.zeros(len(self._colors), device=self._colors.device)
+        count = torch.zeros_like(total)
+        for view, column in self._column.items():
+            colors, known = self._from_neighbours(view)
+            seen = known & (self._weights[:, column] > 0)
+            total += torch.where(seen, (colors - self._colors[:, column].float()).square().sum(dim=1), 0.0)
+            count += seen
+        found = (total / count.clamp_min(1))[:, None, None]
+        variance, known = self._filled(found, (count > 0)[:, None], FILLED_RINGS)
+        variance, known = variance[:, 0, 0], known[:, 0]
+        typical = variance[known].median() if bool(known.any()) else variance.new_zeros(())
+        variance = torch.where(known, variance, typical)
+        for _ in range(SMOOTHED_RINGS):
+            mean, degree = self._sums(torch.stack([variance, torch.ones_like(variance)], dim=1)).unbind(1)
+            variance = 0.5 * (variance + mean / degree.clamp_min(1))
+        return variance
+
+    def _from_neighbours(self, view: int) -> tuple[Float[Tensor, "V 3"], Bool[Tensor, " V"]]:
+        near = [other for other in self._neighbours[view] if other in self._column]
+        columns = torch.tensor([self._column[other] for other in near], dtype=torch.long, device=self._colors.device)
+        angle = self._angle[view, near].to(self._colors.device)
+        # relative to the nearest photograph, however far that is
+        similarity = torch.exp((angle.amin() ** 2 - angle**2) / ANGLE_DEG**2) if near else angle
+        weights = self._weights.index_select(1, columns).float() * similarity
+        total = weights.sum(dim=1)
+        colors = (weights[..., None] * self._colors.index_select(1, columns)).sum(dim=1)
+        return colors / total.clamp_min(1e-6)[:, None], total > LEAST_WEIGHT
+
+    def _filled(
+        self, values: Float[Tensor, "V B C"], known: Bool[Tensor, "V B"], rings: int
+    ) -> tuple[Float[Tensor, "V B C"], Bool[Tensor, "V B"]]:
+        vertices, views, channels = values.shape
+        for _ in range(rings):
+            weighted = torch.cat([values * known[..., None], known[..., None].to(values)], dim=2)
+            sums = self._sums(weighted.reshape(vertices, -1)).reshape(vertices, views, channels + 1)
+            new = ~known & (sums[..., -1] > 0)
+            values = torch.where(new[..., None], sums[..., :-1] / sums[..., -1:].clamp_min(1), values)
+            known = known | new
+        return values, known
+
+    def _sums(self, values: Float[Tensor, "V K"]) -> Float[Tensor, "V K"]:
+        """Sums over the neighbours of each vertex."""
+        a, b = self._edges.unbind(1)
+        return torch.zeros_like(values).index_add(0, a, values[b]).index_add(0, b, values[a])
+
+
+def _observed(
+    positions: Float[Tensor, "V 3"],
+    normals: Float[Tensor, "V 3"],
+    photographs: ViewPhotographs,
+    view: int,
+    tracer: MeshQueries,
+) -> tuple[Float[Tensor, "V 3"], Float[Tensor, " V"]]:
+    """Colours of the vertices in one photograph, and the cosine between normal and ray; 0 for those that it does not
+    show, or shows beside a depth jump.
+    """
+    device = positions.device
+    to_camera = photographs.centers[view].to(positions) - positions
+    distance = to_camera.norm(dim=1)
+    cosine = (to_camera * normals).sum(dim=1) / distance.clamp_min(1e-12)
+    pixels = project(photographs.projections[view], positions.double())
+    row = torch.full((len(positions),), view, device=device)
+    colors, covered = photographs.colors_at(row, pixels)
+    angle = photographs.pixel_angle(view)
+    depth = depth_map(tracer, photographs.cameras[view], photographs.inside[view].cpu().numpy())
+    jumps = torch.from_numpy(beside_jumps(depth, angle)).to(device)
+    x, y = torch.where(covered[:, None], pixels, 0.0).long().unbind(1)
+    y, x = y.clamp(0, depth.shape[0] - 1), x.clamp(0, depth.shape[1] - 1)
+    first = torch.from_numpy(depth).to(device)[y, x]
+    seen = covered & (cosine > LEAST_COSINE) & ~jumps[y, x]
+    seen &= (first - distance).abs() < LEAST_JUMP_PIXELS * angle * distance
+    return colors, torch.where(seen, cosine, 0.0)
+
+
+def project(matrix: Float[Tensor, "*#Q 3 4"], points: Float[Tensor, "Q 3"]) -> Float[Tensor, "Q 2"]:
+    """Pixels of points; differentiable. Not finite where a point lies in the camera's plane or behind it."""
+    homogeneous = (matrix[..., :3] @ points[..., None])[..., 0] + matrix[..., 3]
+    depth = homogeneous[..., 2:]
+    return homogeneous[..., :2] / torch.where(depth > 1e-12, depth, torch.nan)
