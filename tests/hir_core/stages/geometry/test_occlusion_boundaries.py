@@ -170,7 +170,7 @@ def _two_squares(side: float) -> tuple[Positions, Faces]:
 
 
 def test_the_boundary_integral_is_the_derivative_of_the_visible_area() -> None:
-    """A growing square: ∮ (v·n) dl is the change of the area that it covers, in pixels, and dl adds up to its outline."""
+    """A growing square: ∮ (v·n) dl is the change of the area that it covers; dl adds up to its outline."""
     size, side = 128, 0.7
     shot = camera(size, (0.0, 0.0, 3.0))
     capture = _photographed(*_two_squares(side), np.zeros(10_000, int), around(1, 8))
