@@ -83,7 +83,7 @@ class GeometrySettings:
     photo_consistency_iterations: Annotated[int, Interval(ge=0)] = 100
     """Optimisation steps of photo-consistency at each image resolution; the second, finer attempt takes as many at each
     but the coarsest, and a last pass takes half as many."""
-    occlusion_boundary_iterations: Annotated[int, Interval(ge=0)] = 150
+    occlusion_boundary_iterations: Annotated[int, Interval(ge=0)] = 200
     """After photo-consistency, steps that move the boundaries where one part of the object hides another, such as the
     rim of a vessel, to where the photographs show them; as far as views that take no part confirm it. 0 leaves them."""
     depth_weight: Annotated[float, Interval(ge=0)] = 10.0

@@ -43,7 +43,7 @@ from hir_core.stages.held_out_views import judging_views
 LEARNING_RATE = 3e-3
 """Step size as a fraction of the object's radius: boundaries are a few pixels off."""
 
-STEPS_PER_COLORS = 24
+STEPS_PER_COLORS = 36
 """Vertices are coloured anew after so many steps; a multiple of `STEPS_PER_RAY_STRUCTURE`, so that a run that continues
 from a checkpoint does the same."""
 
@@ -210,7 +210,7 @@ def _fit(
     """The mesh after the optimisation, and the boundaries' error at each step."""
     large = LargeSteps(mesh.topology, len(mesh.positions), FINE_SMOOTHNESS)
     parameter = large.encode(mesh.positions.detach()).requires_grad_(True)
-    batches = Batches(len(fit.train), settings.views_per_step, context.seed)
+    batches = Batches(len(fit.train), max(1, settings.views_per_step // 2), context.seed)
     steps = settings.occlusion_boundary_iterations
 
     def loss(step: int) -> Terms:

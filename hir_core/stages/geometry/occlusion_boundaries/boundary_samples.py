@@ -26,8 +26,11 @@ from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewP
 BESIDE_PIXELS = 0.25
 """How far from the edge the two surfaces are looked up. Vertices move by less between two ray structures."""
 
+SAMPLE_SPACING_PIXELS = 2.0
+"""An edge is sampled about so often."""
+
 SAMPLES_PER_EDGE_MAX = 64
-"""An edge is sampled about once a pixel, but not more often."""
+"""Of one edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +102,7 @@ def find_boundaries(
     length = (b - a).norm(dim=1)
     drawn = torch.isfinite(length) & (length > 0)
     row, ends, a, b, length = row[drawn], ends[drawn], a[drawn], b[drawn], length[drawn]
-    count = length.ceil().clamp(1, SAMPLES_PER_EDGE_MAX).long()
+    count = (length / SAMPLE_SPACING_PIXELS).ceil().clamp(1, SAMPLES_PER_EDGE_MAX).long()
     piece = torch.repeat_interleave(torch.arange(len(count), device=count.device), count)
     index = torch.arange(len(piece), device=count.device) - (torch.cumsum(count, 0) - count)[piece]
     # of the edge in space, whose midpoint is not that of its picture: the difference is below a pixel

@@ -10,22 +10,36 @@ from scipy.ndimage import binary_dilation
 from hir_core.capture import Camera
 from hir_core.mesh.ray_casting import MeshQueries
 
+FULL_RESOLUTION_PIXELS = 256
+"""Depth is computed at every second pixel of larger photographs: it decides what a vertex sees, not where edges are."""
+
 LEAST_JUMP_PIXELS = 3.0
 """In widths of a pixel at the surface. A smaller jump moves colours by little from one view to the next."""
 
 
 def depth_map(tracer: MeshQueries, camera: Camera, mask: Bool[NDArray[np.bool_], "H W"]) -> NDArray[np.float32]:
-    """Distance of the mesh from the camera at the pixels (H, W) in or beside the mask; infinite elsewhere."""
+    """Distance of the mesh from the camera at pixels in or beside the mask (H, W), at 1/`depth_factor` of its
+    resolution; infinite elsewhere.
+    """
+    factor = depth_factor(camera)
+    camera = camera.downsampled(factor)
     height, width = camera.height, camera.width
     depth = np.full((height, width), np.inf, np.float32)
-    y, x = np.nonzero(binary_dilation(mask[:height, :width], iterations=2))
+    y, x = np.nonzero(binary_dilation(mask[::factor, ::factor][:height, :width], iterations=2))
     origins, directions = camera.rays(np.stack([x, y], axis=1) + 0.5)
     depth[y, x] = tracer.first_distances(origins.astype(np.float32), directions.astype(np.float32))
     return depth
 
 
-def beside_jumps(depth: Float[NDArray[np.float32], "H W"], pixel_angle: float) -> Bool[NDArray[np.bool_], "H W"]:
-    """The pixels next to a jump or to the outline, and the neighbours of these: their photographs may show both sides.
+def depth_factor(camera: Camera) -> int:
+    """Pixels of the photograph for each pixel of its depth map."""
+    return 2 if min(camera.width, camera.height) >= FULL_RESOLUTION_PIXELS else 1
+
+
+def beside_jumps(
+    depth: Float[NDArray[np.float32], "H W"], pixel_angle: float, margin: int
+) -> Bool[NDArray[np.bool_], "H W"]:
+    """The pixels within `margin` (at least 1) of a jump or of the outline.
 
     `pixel_angle` is the width of a pixel at distance 1.
     """
@@ -42,4 +56,4 @@ def beside_jumps(depth: Float[NDArray[np.float32], "H W"], pixel_angle: float) -
         first[axis], second[axis] = slice(None, -1), slice(1, None)
         beside[tuple(first)] |= jump
         beside[tuple(second)] |= jump
-    return np.asarray(binary_dilation(beside), dtype=bool)
+    return np.asarray(binary_dilation(beside, iterations=margin - 1) if margin > 1 else beside, dtype=bool)

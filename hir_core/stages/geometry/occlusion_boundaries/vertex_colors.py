@@ -13,7 +13,12 @@ from torch.nn.functional import normalize
 
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.scene import Mesh
-from hir_core.stages.geometry.occlusion_boundaries.depth_jumps import LEAST_JUMP_PIXELS, beside_jumps, depth_map
+from hir_core.stages.geometry.occlusion_boundaries.depth_jumps import (
+    LEAST_JUMP_PIXELS,
+    beside_jumps,
+    depth_factor,
+    depth_map,
+)
 from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewPhotographs
 from hir_core.stages.geometry.photo_consistency import LEAST_COSINE
 
@@ -23,6 +28,9 @@ weighs 1/e of it."""
 
 LEAST_WEIGHT = 1e-3
 """Sum of weights below which a vertex counts as unseen."""
+
+MARGIN_PIXELS = 2
+"""Photographs are not used this near to a depth jump or to the outline: there they may show both sides."""
 
 FILLED_RINGS = 6
 """Unseen vertices take the mean colour of their seen neighbours, so often. The pixels beside a boundary are not used as
@@ -132,13 +140,15 @@ def _observed(
     row = torch.full((len(positions),), view, device=device)
     colors, covered = photographs.colors_at(row, pixels)
     angle = photographs.pixel_angle(view)
-    depth = depth_map(tracer, photographs.cameras[view], photographs.inside[view].cpu().numpy())
-    jumps = torch.from_numpy(beside_jumps(depth, angle)).to(device)
-    x, y = torch.where(covered[:, None], pixels, 0.0).long().unbind(1)
+    camera = photographs.cameras[view]
+    depth = depth_map(tracer, camera, photographs.inside[view].cpu().numpy())
+    factor = depth_factor(camera)
+    jumps = torch.from_numpy(beside_jumps(depth, angle * factor, MARGIN_PIXELS // factor)).to(device)
+    x, y = (torch.where(covered[:, None], pixels, 0.0) / factor).long().unbind(1)
     y, x = y.clamp(0, depth.shape[0] - 1), x.clamp(0, depth.shape[1] - 1)
     first = torch.from_numpy(depth).to(device)[y, x]
     seen = covered & (cosine > LEAST_COSINE) & ~jumps[y, x]
-    seen &= (first - distance).abs() < LEAST_JUMP_PIXELS * angle * distance
+    seen &= (first - distance).abs() < LEAST_JUMP_PIXELS * factor * angle * distance
     return colors, torch.where(seen, cosine, 0.0)
 
 
