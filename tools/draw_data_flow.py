@@ -42,8 +42,12 @@ STEPS = (
     ),
     Step("geometry", "fit silhouettes to masks", "hir_core/stages/geometry/silhouette_fit.py"),
     Step("", "area of a silhouette, and its gradient", "hir_plugins/geometry_renderers/contour.py", plugin=True),
+    Step("", "photo-consistency of the surface", "hir_core/stages/geometry/photo_refinement.py"),
     Step(
-        "", "photo-consistency of the surface", "hir_core/stages/geometry/photo_refinement.py", "Scene with fitted mesh"
+        "",
+        "occlusion boundaries",
+        "hir_core/stages/geometry/occlusion_boundaries/boundary_refinement.py",
+        "Scene with fitted mesh",
     ),
     Step("atlas", "texture coordinates", "hir_core/stages/atlas.py", "Scene with texture coordinates"),
     Step("reflectance", "select the reflectance model", "hir_core/stages/reflectance/selection/model_selection.py"),

@@ -114,6 +114,7 @@ def test_freed_memory_goes_back_to_the_system() -> None:
 FEW_STEPS = (
     "geometry.iterations=30",
     "geometry.photo_consistency_iterations=10",
+    "geometry.occlusion_boundary_iterations=10",
     "reflectance_renderer.transport_ggx.steps=30",
     "checkpoint_seconds=10",
 )

@@ -3,7 +3,7 @@
 Outlines do not show where a rim ends in front of the inside of a vessel, and photo-consistency compares windows that
 must not cross such a boundary. Here each photograph decides at the boundaries themselves: a pixel that resembles the
 farther surface pulls the boundary inwards, one that resembles the nearer surface pushes it outwards. What the surfaces
-look like is known from other photographs (`vertex_colors`). Views that took no part judge how far the result goes.
+look like is known from other photographs (`predicted_colors`). Views that took no part judge how far the result goes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesSkipped,
 )
 from hir_core.stages.geometry.occlusion_boundaries.boundary_samples import BoundarySamples, EdgeFaces, find_boundaries
-from hir_core.stages.geometry.occlusion_boundaries.vertex_colors import VertexColors
+from hir_core.stages.geometry.occlusion_boundaries.predicted_colors import VertexColors
 from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewPhotographs
 from hir_core.stages.geometry.photo_consistency import neighbouring_views, ray_structure
 from hir_core.stages.geometry.photo_consistency_report import HeldOutIou

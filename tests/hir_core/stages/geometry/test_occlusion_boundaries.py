@@ -21,7 +21,7 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
 )
 from hir_core.stages.geometry.occlusion_boundaries.boundary_samples import EdgeFaces, find_boundaries
 from hir_core.stages.geometry.occlusion_boundaries.depth_jumps import beside_jumps
-from hir_core.stages.geometry.occlusion_boundaries.vertex_colors import VertexColors
+from hir_core.stages.geometry.occlusion_boundaries.predicted_colors import VertexColors
 from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewPhotographs
 from hir_core.stages.geometry.photo_consistency import neighbouring_views, ray_structure
 from hir_core.stages.held_out_views import held_out_for_geometry
@@ -105,7 +105,7 @@ def _refined(mesh: Mesh, capture: Capture, tmp_path, **changes):  # type: ignore
         return overlap / (area + areas[views] - overlap)
 
     held_out = held_out_for_geometry(len(capture.views), 0.08)
-    settings = GeometrySettings(**({"occlusion_boundary_iterations": 150} | changes))
+    settings = GeometrySettings(**({"occlusion_boundary_iterations": 100} | changes))
     return refine_occlusion_boundaries(mesh, capture, iou, held_out, settings, StageContext(PluginManager(), tmp_path))
 
 
