@@ -148,11 +148,13 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         """Selects the per-texel BRDF where held-out views gain over a per-texel albedo; neither continues the fit.
 
         It is not selected where it is behind the model that it would replace: both may share a limit of texels, such as
-        the width of the narrowest lobe. Where maps at vertices were accepted, vertices are fine enough for what varies.
+        the width of the narrowest lobe. Where maps of the lobe at vertices were accepted, vertices are fine enough for
+        what varies. A normal map says nothing about that; each texel then has its own normal in its place.
         """
-        if self.spec.light_frame != "world" or self.spec.kind == "diffuse" or self.spec.mapped:
+        lobe_maps = "map" in (self.spec.specular, self.spec.roughness, self.spec.metalness)
+        if self.spec.light_frame != "world" or self.spec.kind == "diffuse" or lobe_maps:
             return
-        if not self._is_worth_comparing(replace(self.spec, per_texel="brdf")):
+        if not self._is_worth_comparing(replace(self.spec, normals="mesh", per_texel="brdf")):
             return
         control, candidate = self._per_texel(self.fit)
         views = len(control.errors)
@@ -172,7 +174,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         What the BRDF gains over a per-texel albedo is therefore compared with what the rival lacks at vertices. Returns
         the rival with its errors at vertices lowered by the gain, where it was selected.
         """
-        spec = replace(rival.spec, per_texel="brdf")
+        spec = replace(rival.spec, normals="mesh", per_texel="brdf")
         if rival.spec.light_frame != "world" or rival.spec.kind == "diffuse" or not self._is_worth_comparing(spec):
             return None
         control, candidate = self._per_texel(rival)
@@ -189,8 +191,11 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def _per_texel(self, fit: FoldedFit[FitT]) -> tuple[FoldedFit[FitT], FoldedFit[FitT]]:
         """A fit at vertices with a per-texel albedo, and with a per-texel BRDF."""
         albedo, brdf = (
-            self._fits.fit(replace(fit.spec, per_texel=each), fit, 0.0, cost_effort=COMPARISON.effort)  # type: ignore[arg-type]
-            for each in ("albedo", "brdf")
+            self._fits.fit(spec, fit, 0.0, cost_effort=COMPARISON.effort)
+            for spec in (
+                replace(fit.spec, normals="mesh", per_texel="albedo"),
+                replace(fit.spec, normals="mesh", per_texel="brdf"),
+            )
         )
         return albedo, brdf
 

@@ -193,11 +193,26 @@ def test_the_map_that_gains_most_is_selected_first() -> None:
     assert again.spec == replace(selection.spec, specular="map"), "what is left is compared with the new model"
 
 
-def test_no_per_texel_brdf_after_maps_at_vertices() -> None:
+def test_no_per_texel_brdf_after_maps_of_the_lobe_at_vertices() -> None:
     def error(spec: ModelSpec) -> float:
-        return 1e-3 * 0.5 ** sum([spec.brdf == "dielectric", spec.normals == "map", spec.per_texel == "brdf"])
+        return 1e-3 * 0.5 ** sum([spec.brdf == "dielectric", spec.roughness == "map", spec.per_texel == "brdf"])
 
-    assert chosen(error) == ModelSpec("dielectric", "uniform", normals="map")
+    assert chosen(error) == ModelSpec("dielectric", "uniform", roughness="map")
+
+
+@pytest.mark.parametrize("gain", [2, 0])
+def test_a_normal_map_yields_to_a_per_texel_brdf_that_gains_more(gain: int) -> None:
+    """Texels have normals of their own, in place of the map's."""
+
+    def error(spec: ModelSpec) -> float:
+        own = {"none": int(spec.normals == "map"), "albedo": 0, "brdf": gain}[spec.per_texel]
+        return 1e-3 * 0.5 ** (own + (spec.brdf == "dielectric"))
+
+    normals, texels = (
+        ModelSpec("dielectric", "uniform", normals="map"),
+        ModelSpec("dielectric", "uniform", per_texel="brdf"),
+    )
+    assert chosen(error) == (texels if gain else normals)
 
 
 def test_a_per_texel_brdf_behind_the_model_that_it_would_replace_is_rejected() -> None:
