@@ -105,7 +105,7 @@ def _refined(mesh: Mesh, capture: Capture, tmp_path, **changes):  # type: ignore
         return overlap / (area + areas[views] - overlap)
 
     held_out = held_out_for_geometry(len(capture.views), 0.08)
-    settings = GeometrySettings(**({"occlusion_boundary_iterations": 100} | changes))
+    settings = GeometrySettings(**({"occlusion_boundary_iterations": 200} | changes))
     return refine_occlusion_boundaries(mesh, capture, iou, held_out, settings, StageContext(PluginManager(), tmp_path))
 
 
