@@ -33,7 +33,7 @@ class HeldOutEvaluation:
     """How well a mesh explains views that took no part in its fit."""
 
     errors: NDArray[np.float64]
-    """Photo-consistency error of each judging view; NaN where nothing could be compared."""
+    """Error of each judging view; NaN where nothing could be compared."""
     iou: float
     """Mean over the held-out views."""
 

@@ -95,7 +95,7 @@ def refine_occlusion_boundaries(
     def evaluated(candidate: Mesh) -> HeldOutEvaluation:
         errors = _prediction_errors(candidate, photographs, judges, neighbours)
         with torch.no_grad():
-            return HeldOutEvaluation(errors, float(iou(candidate, list(held_out)).mean()) if held_out else 1.0)
+            return HeldOutEvaluation(errors, float(iou(candidate, list(held_out)).mean()))
 
     movement, (before, after) = confirmed_movement(mesh, fitted, evaluated, LINE, LEAST_GAIN)
     part = max(1, len(curve) // 10)
@@ -252,7 +252,7 @@ def _prediction_errors(
     mesh: Mesh, photographs: ViewPhotographs, judges: Sequence[int], neighbours: Sequence[Sequence[int]]
 ) -> Float[np.ndarray, " J"]:
     """Mean difference in sRGB between each judging view and its prediction from its neighbours, per pixel of the
-    object; NaN where nothing can be compared.
+    object, plus `ERROR_OF_PHOTOGRAPHS_SRGB`; NaN where nothing can be compared.
 
     A pixel that either the mesh or the mask covers, but not both, counts as `ERROR_MAX_SRGB`.
     """

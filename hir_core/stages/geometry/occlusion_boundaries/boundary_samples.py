@@ -20,7 +20,6 @@ from torch import Tensor
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.scene import Mesh, Topology
 from hir_core.stages.geometry.occlusion_boundaries.depth_jumps import LEAST_JUMP_PIXELS
-from hir_core.stages.geometry.occlusion_boundaries.predicted_colors import project
 from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewPhotographs
 
 BESIDE_PIXELS = 0.25
@@ -82,7 +81,7 @@ class BoundarySamples:
         a, b = positions.double()[self.ends].unbind(1)
         points = a + self.fraction[:, None] * (b - a)
         view = torch.tensor(self.views, device=positions.device)[self.row]
-        along = (project(photographs.projections[view], points) * self.outward).sum(dim=1)
+        along = (photographs.project(points, view) * self.outward).sum(dim=1)
         return along - along.detach()
 
 
@@ -97,8 +96,7 @@ def find_boundaries(
     row, edge = _contours(positions, mesh.faces, edges, photographs.centers[list(views)])
     view = torch.tensor(views, device=positions.device)[row]
     ends = edges.ends[edge]
-    matrices = photographs.projections[view]
-    a, b = (project(matrices, positions[ends[:, k]]) for k in (0, 1))
+    a, b = (photographs.project(positions[ends[:, k]], view) for k in (0, 1))
     length = (b - a).norm(dim=1)
     drawn = torch.isfinite(length) & (length > 0)
     row, ends, a, b, length = row[drawn], ends[drawn], a[drawn], b[drawn], length[drawn]
@@ -110,7 +108,7 @@ def find_boundaries(
     row, ends = row[piece], ends[piece]
     view = torch.tensor(views, device=positions.device)[row]
     points = torch.lerp(positions[ends[:, 0]], positions[ends[:, 1]], fraction[:, None])
-    pixels = project(photographs.projections[view], points)
+    pixels = photographs.project(points, view)
     tangent = (b - a)[piece] / length[piece, None]
     normal = torch.stack([tangent[:, 1], -tangent[:, 0]], dim=1)
     distance = (points - photographs.centers[view]).norm(dim=1)

@@ -136,8 +136,8 @@ def _observed(
     to_camera = photographs.centers[view].to(positions) - positions
     distance = to_camera.norm(dim=1)
     cosine = (to_camera * normals).sum(dim=1) / distance.clamp_min(1e-12)
-    pixels = project(photographs.projections[view], positions.double())
     row = torch.full((len(positions),), view, device=device)
+    pixels = photographs.project(positions.double(), row)
     colors, covered = photographs.colors_at(row, pixels)
     angle = photographs.pixel_angle(view)
     camera = photographs.cameras[view]
@@ -150,10 +150,3 @@ def _observed(
     seen = covered & (cosine > LEAST_COSINE) & ~jumps[y, x]
     seen &= (first - distance).abs() < LEAST_JUMP_PIXELS * factor * angle * distance
     return colors, torch.where(seen, cosine, 0.0)
-
-
-def project(matrix: Float[Tensor, "*#Q 3 4"], points: Float[Tensor, "Q 3"]) -> Float[Tensor, "Q 2"]:
-    """Pixels of points; differentiable. Not finite where a point lies in the camera's plane or behind it."""
-    homogeneous = (matrix[..., :3] @ points[..., None])[..., 0] + matrix[..., 3]
-    depth = homogeneous[..., 2:]
-    return homogeneous[..., :2] / torch.where(depth > 1e-12, depth, torch.nan)

@@ -60,10 +60,17 @@ class ViewPhotographs:
         return torch.from_numpy(centers).to(self.images.device)
 
     @cached_property
-    def projections(self) -> Float[Tensor, "N 3 4"]:
+    def _projections(self) -> Float[Tensor, "N 3 4"]:
         """From homogeneous positions to homogeneous pixel coordinates, float64."""
         matrices = np.stack([camera.intrinsics @ camera.world_to_camera[:3] for camera in self.cameras])
         return torch.from_numpy(matrices.astype(np.float64)).to(self.images.device)
+
+    def project(self, points: Float[Tensor, "Q 3"], view: Int[Tensor, " Q"]) -> Float[Tensor, "Q 2"]:
+        """Pixels of points (float64); differentiable. NaN where a point is not in front of its camera."""
+        matrix = self._projections[view]
+        homogeneous = (matrix[..., :3] @ points[..., None])[..., 0] + matrix[..., 3]
+        depth = homogeneous[..., 2:]
+        return homogeneous[..., :2] / torch.where(depth > 1e-12, depth, torch.nan)
 
     def pixel_angle(self, view: int) -> float:
         """Width of a pixel at distance 1, in the middle of the view."""

@@ -128,8 +128,8 @@ def test_the_rim_of_a_cup_moves_to_where_photographs_show_it(cup_capture: Captur
     positions, faces, _ = _cup(WRONG)
     mesh, report = _refined(mesh_of(positions, faces), cup_capture, tmp_path)
     assert isinstance(report, OcclusionBoundariesReport) and report.accepted
-    assert report.disagreement[1] < report.disagreement[0]
-    assert abs(_inner_radius(mesh) - INNER) < 0.3 * (WRONG - INNER)
+    assert report.disagreement[1] < 0.8 * report.disagreement[0]
+    assert abs(_inner_radius(mesh) - INNER) < 0.2 * (WRONG - INNER)  # 0.09
     assert torch.isfinite(mesh.positions).all()
 
 
@@ -137,8 +137,8 @@ def test_right_boundaries_stay(cup_capture: Capture, tmp_path) -> None:  # type:
     positions, faces, _ = _cup(INNER)
     before = mesh_of(positions, faces)
     mesh, _ = _refined(before, cup_capture, tmp_path)
-    assert abs(_inner_radius(mesh) - INNER) < 0.01
-    assert float((mesh.positions - before.positions).norm(dim=1).median()) < 0.01
+    assert abs(_inner_radius(mesh) - INNER) < 0.003  # 0.0006, of which the facets are 0.0004
+    assert float((mesh.positions - before.positions).norm(dim=1).median()) < 0.001
 
 
 def test_nothing_moves_where_no_part_hides_another(tmp_path) -> None:  # type: ignore[no-untyped-def]
@@ -181,13 +181,13 @@ def test_the_boundary_integral_is_the_derivative_of_the_visible_area() -> None:
     # the nearer face of the box, which is the one whose outline is seen
     focal, depth = float(shot.intrinsics[0, 0]), 3.0 - 0.51
     expected_outline = 4 * side * focal / depth
-    assert float(samples.length.sum()) == pytest.approx(expected_outline, rel=0.02)
+    assert float(samples.length.sum()) == pytest.approx(expected_outline, rel=1e-6)
     moved = samples.outward_motion(mesh.positions, photographs)
     (gradient,) = torch.autograd.grad((moved * samples.length).sum(), mesh.positions)
     growth = torch.as_tensor(positions * [1.0, 1.0, 0.0] * (positions[:, 2:] > 0))
     area = lambda s: (side * (1 + s) * focal / depth) ** 2  # noqa: E731
     expected = (area(1e-5) - area(-1e-5)) / 2e-5
-    assert float((gradient * growth).sum()) == pytest.approx(expected, rel=0.02)
+    assert float((gradient * growth).sum()) == pytest.approx(expected, rel=1e-6)
     center = torch.tensor([size / 2, size / 2], dtype=torch.float64)
     assert bool(((samples.pixels - center) * samples.outward).sum(dim=1).gt(0).all())
 
