@@ -30,6 +30,7 @@ SMALL = {
     "geometry.triangles": "1200",
     "geometry.photo_consistency_iterations": "6",
     "geometry.occlusion_boundary_iterations": "6",
+    "geometry.outline_iterations": "6",
     "atlas.texture_size": "64",
     "reflectance.environment_height": "8",
     "reflectance.environment_width": "16",

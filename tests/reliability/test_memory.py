@@ -115,6 +115,7 @@ FEW_STEPS = (
     "geometry.iterations=30",
     "geometry.photo_consistency_iterations=10",
     "geometry.occlusion_boundary_iterations=10",
+    "geometry.outline_iterations=10",
     "reflectance_renderer.transport_ggx.steps=30",
     "checkpoint_seconds=10",
 )

@@ -47,7 +47,7 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
 )
 from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
 from hir_core.stages.geometry.photo_refinement import refine_by_photo_consistency
-from hir_core.stages.geometry.silhouette_fit import SilhouetteFit, fit_level
+from hir_core.stages.geometry.silhouette_fit import SilhouetteFit, fit_mesh, pass_of_level, pass_of_outlines
 from hir_core.stages.geometry.silhouette_residual import silhouette_residual
 from hir_core.stages.held_out_views import held_out_for_geometry
 
@@ -83,6 +83,8 @@ def fit_geometry(
     if settings.prune:
         mesh, removed = remove_floating_components(fit.renderer, mesh, fit.targets, fit.train)
     mesh, levels, curve = _fit_silhouettes(mesh, fit, float(np.median(list(initial_errors.values()))))
+    outlines: list[LevelReport] = []
+    mesh = _fit_outlines(mesh, fit, outlines)
     silhouette_mesh = mesh
     photo_consistency: PhotoConsistencyReport | PhotoConsistencySkipped
     photo_consistency = PhotoConsistencySkipped("left out by the settings")
@@ -94,7 +96,10 @@ def fit_geometry(
         mesh, occlusion_boundaries = refine_occlusion_boundaries(
             mesh, capture, fit.iou, fit.held_out, settings, context
         )
-    earlier = silhouette_mesh if photo_consistency.accepted or occlusion_boundaries.accepted else None
+    earlier = None
+    if photo_consistency.accepted or occlusion_boundaries.accepted:
+        earlier = silhouette_mesh
+        mesh = _fit_outlines(mesh, fit, outlines)
     mesh, after = _repair(mesh, before.self_intersecting, earlier)
     if earlier is not None:
         earlier, _ = _repair(earlier, before.self_intersecting, None)
@@ -118,6 +123,7 @@ def fit_geometry(
         silhouette_residual=SilhouetteResidualReport(residual.missing, residual.filled),
         mesh=MeshChange(before, after),
         levels=levels,
+        outlines=outlines,
         photo_consistency=photo_consistency,
         occlusion_boundaries=occlusion_boundaries,
         sensor_depth=None
@@ -157,10 +163,19 @@ def _fit_silhouettes(
             # from the area of the current surface: a sphere around a cow has twice the cow's area
             triangles = triangles_of_level(mesh, fit.targets, fit.settings, level, levels)
             mesh = remeshed(mesh, triangles, seed=fit.context.seed)
-        mesh, loop, held_out_error = fit_level(mesh, fit, level, levels)
+        mesh, loop, held_out_error = fit_mesh(mesh, fit, pass_of_level(fit, level, levels))
         curves.append(loop.curves.get("silhouette", np.zeros(0)))
         reports.append(LevelReport(len(mesh.faces), loop.steps, held_out_error, loop.stopped_early, loop.skipped))
     return mesh, reports, np.concatenate(curves).tolist() if curves else []
+
+
+def _fit_outlines(mesh: Mesh, fit: SilhouetteFit, reports: list[LevelReport]) -> Mesh:
+    """The mesh with its outlines on the masks' again; adds its report. The same mesh where the settings say so."""
+    if fit.settings.outline_iterations == 0:
+        return mesh
+    fitted, loop, held_out_error = fit_mesh(mesh, fit, pass_of_outlines(fit, len(reports)))
+    reports.append(LevelReport(len(mesh.faces), loop.steps, held_out_error, loop.stopped_early, loop.skipped))
+    return fitted
 
 
 def _repair(mesh: Mesh, allowed: int, silhouette_mesh: Mesh | None) -> tuple[Mesh, MeshState]:

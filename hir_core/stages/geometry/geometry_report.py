@@ -88,6 +88,8 @@ class GeometryReport:
     silhouette_residual: SilhouetteResidualReport
     mesh: MeshChange
     levels: list[LevelReport]
+    outlines: list[LevelReport]
+    """The fits to the silhouettes alone: after the levels, and after photographs moved the mesh."""
     photo_consistency: PhotoConsistencyReport | PhotoConsistencySkipped
     occlusion_boundaries: OcclusionBoundariesReport | OcclusionBoundariesSkipped
     sensor_depth: SensorDepthReport | None

@@ -5,8 +5,9 @@ Fewer than `MIN_HELD_OUT_VIEWS` choose nothing: the level takes all its steps, a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -39,6 +40,12 @@ EARLIEST_STOP = 0.7
 
 VIEWS_PER_BATCH = 8
 """Of evaluations without gradient."""
+
+OUTLINE_LEARNING_RATE, OUTLINE_LEARNING_RATE_END = 5e-3, 0.05
+"""Of the outlines' pass, as a fraction of the object's radius: they are less than a pixel off."""
+
+OUTLINE_SMOOTHNESS = 2.0
+"""LargeSteps' λ of the outlines' pass; nothing else smooths it."""
 
 
 @dataclass
@@ -75,18 +82,74 @@ class SilhouetteFit:
         return errors
 
 
-def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[Mesh, OptimizationReport, float | None]:
+@dataclass(frozen=True)
+class SilhouettePass:
+    """One optimisation of a mesh of fixed topology."""
+
+    name: str
+    """Of its checkpoint."""
+    number: int
+    first_step: int
+    steps: int
+    total_steps: int
+    """Of all passes that count their steps together."""
+    learning_rate: float
+    """As a fraction of the object's radius."""
+    learning_rate_end: float
+    smoothness: float | None
+    """LargeSteps' λ; None moves the vertices themselves."""
+    regularizers: Mapping[str, dict[str, Any] | Literal[False]]
+    trust_errors_from: int
+    """Views whose masks contradict the others lose weight after this step."""
+
+
+def pass_of_level(fit: SilhouetteFit, level: int, levels: int) -> SilhouettePass:
+    """The pass of one of several resolutions."""
+    settings = fit.settings
+    steps = settings.iterations_per_view * len(fit.train) if settings.iterations_per_view else settings.iterations
+    return SilhouettePass(
+        name=f"level_{level}",
+        number=level,
+        first_step=level * steps,
+        steps=steps,
+        total_steps=levels * steps,
+        learning_rate=settings.learning_rate,
+        learning_rate_end=settings.learning_rate_end,
+        smoothness=settings.smoothness if settings.parameterization == "large_steps" else None,
+        regularizers=settings.regularizers,
+        # early in a fit a large error means that the mesh is wrong, not the mask
+        trust_errors_from=0 if level > 0 else steps // 2 + 1,
+    )
+
+
+def pass_of_outlines(fit: SilhouetteFit, number: int) -> SilhouettePass:
+    """Silhouettes alone: outlines that a bending energy or photographs moved go back to the masks."""
+    steps = fit.settings.outline_iterations
+    return SilhouettePass(
+        name=f"outlines_{number}",
+        number=number,
+        first_step=0,
+        steps=steps,
+        total_steps=steps,
+        learning_rate=OUTLINE_LEARNING_RATE,
+        learning_rate_end=OUTLINE_LEARNING_RATE_END,
+        smoothness=OUTLINE_SMOOTHNESS,
+        regularizers={},
+        trust_errors_from=0,
+    )
+
+
+def fit_mesh(mesh: Mesh, fit: SilhouetteFit, plan: SilhouettePass) -> tuple[Mesh, OptimizationReport, float | None]:
     """The mesh of the lowest held-out error (the last one with too few views), the report, and that error."""
     settings, context = fit.settings, fit.context
     scene = Scene(mesh)
-    energies = prepare_energies(scene, settings.regularizers, context.plugins, context.seed)
-    batches = Batches(len(fit.train), max(1, settings.views_per_step), context.seed + level)
-    steps = settings.iterations_per_view * len(fit.train) if settings.iterations_per_view else settings.iterations
+    energies = prepare_energies(scene, plan.regularizers, context.plugins, context.seed)
+    batches = Batches(len(fit.train), max(1, settings.views_per_step), context.seed + plan.number)
     radius = settings.start_radius or 1.0
-    rate = settings.learning_rate * radius
+    rate = plan.learning_rate * radius
     optimizer: torch.optim.Optimizer
-    if settings.parameterization == "large_steps":
-        large = LargeSteps(mesh.topology, len(mesh.positions), settings.smoothness)
+    if plan.smoothness is not None:
+        large = LargeSteps(mesh.topology, len(mesh.positions), plan.smoothness)
         parameter = large.encode(mesh.positions.detach()).requires_grad_(True)
         decode: Callable[[Tensor], Tensor] = large.decode
         optimizer = UniformAdam([parameter], rate)
@@ -101,7 +164,7 @@ def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[
         error = 1 - fit.iou(current, views)
         weight = torch.ones_like(error)
         if settings.robust:
-            active = level > 0 or step > steps // 2
+            active = step >= plan.trust_errors_from
             weights = fit.view_weights.update(views, error.detach().cpu().numpy(), active)
             weight = torch.as_tensor(weights, dtype=error.dtype, device=error.device)
         terms = {"silhouette": (weight * error).sum() / len(views)} | energies(replace(scene, mesh=current))
@@ -128,22 +191,22 @@ def fit_level(mesh: Mesh, fit: SilhouetteFit, level: int, levels: int) -> tuple[
         if not fit.held_out or (step + 1) % HELD_OUT_INTERVAL_STEPS:
             return False
         error = held_out_error()
-        done = level * steps + step + 1
-        context.report(Progress("geometry", done, levels * steps, 0.0, {"held_out": np.array([error])}))
-        return views_choose and best.update(parameter, error) and step > EARLIEST_STOP * steps
+        done = plan.first_step + step + 1
+        context.report(Progress("geometry", done, plan.total_steps, 0.0, {"held_out": np.array([error])}))
+        return views_choose and best.update(parameter, error) and step > EARLIEST_STOP * plan.steps
 
     report = optimize(
         loss,
         optimizer,
-        Schedule(steps, end=settings.learning_rate_end),
+        Schedule(plan.steps, end=plan.learning_rate_end),
         stage="geometry",
         report=context.report,
         after_step=after_step,
-        checkpointing=Checkpointing(context.checkpoints / f"level_{level}.npz", context.checkpoint_seconds),
+        checkpointing=Checkpointing(context.checkpoints / f"{plan.name}.npz", context.checkpoint_seconds),
         extra_state=CombinedState(best=best, view_weights=fit.view_weights),
         locate=locate,
-        first_step=level * steps,
-        total_steps=levels * steps,
+        first_step=plan.first_step,
+        total_steps=plan.total_steps,
     )
     warn_of_skipped_steps(report, context.warn)
     error = best.error

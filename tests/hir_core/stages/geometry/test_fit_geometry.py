@@ -230,6 +230,7 @@ def test_the_paper_path_moves_vertices_at_radius_a_tenth(capture: Capture, tmp_p
         remesh=False,
         views_per_step=1,
         iterations_per_view=4,
+        outline_iterations=0,
         learning_rate=0.01,
         learning_rate_end=1.0,
         start_radius=0.1,
