@@ -1,14 +1,14 @@
 """Two takes of an object under two lights, the second one upside down, against one take of as many photographs.
 
     python -m benchmarks.two_takes RECIPE… --workspace DIR [--runs one two] [--side 192] [--photographs 40]
-        [--texture fine] [--store FILE]
+        [--texture speckled] [--store FILE]
     python -m benchmarks.two_takes --table FILE
 
 For each object of the materials benchmark: photographs from above alone, as of an object that stands on a table; and
 half of them from above and half of the object turned over, under another light. Both captures are reconstructed with
 the default settings and evaluated from all sides under two other lights. Rendered by Mitsuba's path tracer with the
 `principled` BSDF; the table is not there. The run `estimated` reconstructs the two takes with cameras from structure
-from motion on the masked photographs; use more pixels, more photographs and `--texture fine` then, because the
+from motion on the masked photographs; use more pixels, more photographs and `--texture speckled` then, because the
 materials of the benchmark have few features, and 20 photographs of a take are 20° apart. One line is stored for each
 run, with commit, date and machine.
 """
@@ -60,8 +60,8 @@ TURNED_OVER = np.diag([1.0, -1.0, -1.0, 1.0])
 """Half a turn about x: from the axes of the room to those of an object that lies upside down in it."""
 TAKES = "standing", "upside down"
 RUNS = "one", "two", "estimated"
-TEXTURES = "coarse", "fine"
-"""The material as the benchmark draws it, or with dark dots in its base colour."""
+TEXTURES = {"coarse": (), "fine": (8.0,), "speckled": (8.0, 20.0)}
+"""The material as the benchmark draws it, or with dark dots in its base colour: how many of them fit in a radius."""
 RELIGHTS = "relight_0", "relight_1"
 ESTIMATED = (
     "--set",
@@ -99,15 +99,15 @@ def main() -> None:
 
 
 def make_captures(
-    recipe: Recipe, folder: Path, side: int = SIDE, texture: str = TEXTURES[0], photographs: int = PHOTOGRAPHS
+    recipe: Recipe, folder: Path, side: int = SIDE, texture: str = "coarse", photographs: int = PHOTOGRAPHS
 ) -> None:
     """`one` and `two`: captures with the same object, lights of evaluation and test views."""
     import mitsuba as mi
 
     shape, rng = make_shape(recipe.shape), np.random.default_rng(recipe.seed)
     surface = MATERIALS[recipe.material].draw(shape.positions.astype(np.float64), shape.parts, rng)
-    if texture == "fine":
-        surface = with_dots(surface, shape.positions.astype(np.float64), recipe.seed)
+    for scale in TEXTURES[texture]:
+        surface = with_dots(surface, shape.positions.astype(np.float64), recipe.seed, scale)
     mesh = mitsuba_mesh(mi, shape, surface)
     other = str(
         rng.choice([n for n in LIGHTS if LIGHTS[n].frame == "world" and n not in (recipe.light, *recipe.relights)])
@@ -156,9 +156,9 @@ def make_captures(
         write_truth(mi, mesh, surface, capture / "truth", around, side)
 
 
-def with_dots(surface: Surface, points: NDArray[np.float64], seed: int) -> Surface:
-    """The base colour times 0.3 in dots of about a tenth of the object's radius."""
-    dots = waves(points, np.random.default_rng(seed), 8.0)[:, None] > 0.6
+def with_dots(surface: Surface, points: NDArray[np.float64], seed: int, scale: float) -> Surface:
+    """The base colour times 0.3 in dots of about 1/`scale` of the object's radius."""
+    dots = waves(points, np.random.default_rng(seed), scale)[:, None] > 0.6
     return replace(surface, base_color=np.where(dots, 0.3 * surface.base_color, surface.base_color))
 
 

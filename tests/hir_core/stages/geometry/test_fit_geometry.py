@@ -96,6 +96,20 @@ def test_a_ball_becomes_the_shape_in_the_masks(capture: Capture, tmp_path: Path)
     assert len(report.views.held_out) == 2
 
 
+def test_outlines_are_fitted_without_the_bending_energy_that_moved_them(capture: Capture, tmp_path: Path) -> None:
+    stiff = replace(SETTINGS, regularizers={"laplacian": {"weight": 3e-3, "cotangent": True, "scale_free": True}})
+    without, report = _fit(_ball(), capture, replace(stiff, outline_iterations=0), tmp_path / "without")
+    assert report.outlines == []
+    fitted, report = _fit(_ball(), capture, stiff, tmp_path / "fitted")
+    (outlines,) = report.outlines  # photographs moved nothing: fitted once
+    assert outlines.steps == SETTINGS.outline_iterations and outlines.triangles == len(fitted.faces)
+    assert fitted.topology.faces.equal(without.topology.faces)
+    # views that took no part: the bending energy rounds the ends of the peanut
+    (iou_without, offset_without), (iou, offset) = (_unseen_offset(mesh, PEANUT) for mesh in (without, fitted))
+    assert 1 - iou < 0.5 * (1 - iou_without)
+    assert abs(offset) < 0.1 < abs(offset_without)
+
+
 SHORT = replace(SETTINGS, iterations=25)
 
 
