@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,16 @@ class Opening:
     """(2,), coordinates of the first cell of `region`."""
     region: Flags
     """(A, B), cells of one voxel."""
+    rounding: float = 0.0
+    """How the floor rises towards the outline: 0 not at all, as in a mug; 1 like a quarter of an ellipse, as in a bowl;
+    in between it rises in that share of the way from the outline to the middle."""
+
+    def floor(self, distance: Array) -> Array:
+        """Depth of the floor at distances from the outline, as a share of the depth in the middle."""
+        if self.rounding == 0:
+            return np.ones_like(distance)
+        width = max(self.rounding * float(distance_transform_edt(np.pad(self.region, 1)).max()), 1e-9)
+        return np.asarray(np.sqrt(1 - (1 - np.clip(distance / width, 0, 1)) ** 2))
 
     def cells(self, points: NDArray[np.number]) -> tuple[NDArray[np.int64], Flags]:
         """The cells (N, 2) of points (N, 3), clipped, and whether each lies in the rectangle of cells."""
@@ -80,12 +90,12 @@ class Opening:
         change = binary_dilation if step > 0 else binary_erosion
         other = change(self.region, iterations=abs(step))
         region = np.where(np.isin(sectors, chosen), other, self.region)
-        return Opening(self.axes, self.normal, self.level, self.corner, region)
+        return replace(self, region=region)
 
     def smoothed(self, sigma: float) -> Opening:
         """The opening with an outline without detail of less than `sigma` voxels."""
         region = gaussian_filter(np.pad(self.region, 2).astype(np.float32), sigma) > 0.5
-        return Opening(self.axes, self.normal, self.level, self.corner - 2, region)
+        return replace(self, corner=self.corner - 2, region=region)
 
     def sectors(self, count: int) -> NDArray[np.int64]:
         """The sector of each cell (A, B), by its angle around the middle of the region."""
@@ -98,7 +108,7 @@ class Opening:
         if margin == 0:
             return self
         region = binary_dilation(np.pad(self.region, margin), iterations=margin)
-        return Opening(self.axes, self.normal, self.level, self.corner - margin, region)
+        return replace(self, corner=self.corner - margin, region=region)
 
 
 def surface_cells(inside: Flags) -> NDArray[np.int64]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -26,6 +26,15 @@ SAME_PLANE, SAME_LEVEL, COVERED = 0.9, 4.0, 0.7
 SECTORS = 12
 FIRST_STEPS, STEPS = (4, -2), (4, 2, -2, 1, -1)
 """Of a first outline in each sector, in voxels, one after the other; and of the one that is found with them."""
+
+ROUNDINGS = (0.25, 0.5, 0.75, 1.0)
+"""Of floors that are tried."""
+
+NEAR_DEPTHS = (0.8, 0.87, 0.93, 1.0, 1.07, 1.15, 1.25)
+"""Of a rounded hollow, as shares of the depth that was found in coarser steps."""
+
+SMOOTH_OUTLINES = (3.0, 4.5)
+"""In voxels: outlines without finer detail that are tried."""
 
 OUTLINE_DETAIL = 1.5
 """Of a refined outline, in voxels: sectors that move by themselves leave steps."""
@@ -81,13 +90,7 @@ class OutlineSearch(ABC):
         """
         tried = [self.sunk(opening, depth) for depth in depths]
         best = min(tried, key=lambda each: each.errors.mean())
-        near = []
-        for each in tried:
-            worse = each.errors - best.errors
-            noise = float(worse.std(ddof=1)) / len(worse) ** 0.5
-            if worse.mean() <= max(noise, SAME_SHARE * self.saved(best)):
-                near.append(each)
-        return max(near, key=lambda each: each.depth)
+        return max((each for each in tried if self.is_as_good(each, best)), key=lambda each: each.depth)
 
     def refined(self, found: Sunk, steps: Sequence[int]) -> Sunk:
         """With an outline that is moved sector by sector, and the depth of that."""
@@ -100,6 +103,37 @@ class OutlineSearch(ABC):
         smooth = found.opening.smoothed(OUTLINE_DETAIL)
         opening = smooth if smooth.region.any() else found.opening
         return self.best(opening, self.depths(opening))
+
+    def shaped(self, found: Sunk) -> Sunk:
+        """With a floor that rises towards the outline, where that explains more than noise, and with a smoother outline
+        that explains no less.
+        """
+        rounded = self.rounded(found)
+        if rounded is not found:
+            found = self.rounded(self.refined(rounded, STEPS))
+            # as many photographs see a rounded floor as its wall: the best depth, not the deepest of equal ones
+            depths = [round(factor * found.depth, 1) for factor in NEAR_DEPTHS]
+            found = min((self.sunk(found.opening, depth) for depth in depths), key=lambda each: each.errors.mean())
+        for detail in SMOOTH_OUTLINES:
+            opening = found.opening.smoothed(detail)
+            if opening.region.any():
+                found = min(found, self.sunk(opening, found.depth), key=lambda each: each.errors.mean())
+        return found
+
+    def rounded(self, found: Sunk) -> Sunk:
+        """With the floor that explains most; as it is where no other explains more than noise."""
+        for rounding in ROUNDINGS:
+            opening = replace(found.opening, rounding=rounding)
+            other = self.best(opening, self.depths(opening))
+            if not self.is_as_good(found, other):
+                found = other
+        return found
+
+    def is_as_good(self, found: Sunk, best: Sunk) -> bool:
+        """Whether it leaves no more than another one, or more by noise alone."""
+        worse = found.errors - best.errors
+        noise = float(worse.std(ddof=1)) / len(worse) ** 0.5
+        return bool(worse.mean() <= max(noise, SAME_SHARE * self.saved(best)))
 
     def saved(self, found: Sunk) -> float:
         """Mean squared error that a hollow explains."""
@@ -117,8 +151,8 @@ def refined_twice(search: SearchT, first: Sunk, search_of: Callable[[Opening], S
     found = search.refined(first, FIRST_STEPS)
     wider = search_of(found.opening)
     if wider is None:
-        return search, found
-    return wider, wider.refined(wider.sunk(found.opening, found.depth), STEPS)
+        return search, search.shaped(found)
+    return wider, wider.shaped(wider.refined(wider.sunk(found.opening, found.depth), STEPS))
 
 
 def smooth_triangles(volume: Volume) -> tuple[Floats, np.ndarray]:

@@ -74,7 +74,8 @@ def sunk(volume: Volume, search: Volume, opening: Opening, depth: float, wall: A
     affected = (below >= -IN_FRONT - BESIDE) & opening.grown(BESIDE).contains(place)
     near, place, below = near[affected], place[affected], below[affected]
     at_wall = map_coordinates(wall, place.T, order=1, mode="nearest")
-    inside = np.minimum(np.minimum(opening.distance(place), depth - below), at_wall - WALL)
+    distance = opening.distance(place)
+    inside = np.minimum(np.minimum(distance, depth * opening.floor(distance) - below), at_wall - WALL)
     inside = np.where(below < -IN_FRONT, -1.0, inside)
     carved = (-inside * search.spacing).astype(np.float32)
     values = volume.values.copy()
