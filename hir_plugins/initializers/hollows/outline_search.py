@@ -27,11 +27,11 @@ SECTORS = 12
 FIRST_STEPS, STEPS = (4, -2), (4, 2, -2, 1, -1)
 """Of a first outline in each sector, in voxels, one after the other; and of the one that is found with them."""
 
-ROUNDINGS = (0.25, 0.5, 0.75, 1.0)
+ROUNDINGS = (0.5, 1.0)
 """Of floors that are tried."""
 
-NEAR_DEPTHS = (0.8, 0.87, 0.93, 1.0, 1.07, 1.15, 1.25)
-"""Of a rounded hollow, as shares of the depth that was found in coarser steps."""
+NEAR_DEPTHS = (0.8, 0.87, 0.93, 1.0, 1.07, 1.15, 1.25, 1.4)
+"""That are tried for a rounded hollow, as shares of the depth that was found before."""
 
 SMOOTH_OUTLINES = (3.0, 4.5)
 """In voxels: outlines without finer detail that are tried."""
@@ -94,6 +94,11 @@ class OutlineSearch(ABC):
 
     def refined(self, found: Sunk, steps: Sequence[int]) -> Sunk:
         """With an outline that is moved sector by sector, and the depth of that."""
+        opening = self.outlined(found, steps)
+        return self.best(opening, self.depths(opening))
+
+    def outlined(self, found: Sunk, steps: Sequence[int]) -> Opening:
+        """The opening with an outline that is moved sector by sector."""
         sectors = found.opening.sectors(SECTORS)
         for step in steps:
             for sector in range(SECTORS):
@@ -101,33 +106,29 @@ class OutlineSearch(ABC):
                 if moved.errors.mean() < found.errors.mean():
                     found = moved
         smooth = found.opening.smoothed(OUTLINE_DETAIL)
-        opening = smooth if smooth.region.any() else found.opening
-        return self.best(opening, self.depths(opening))
+        return smooth if smooth.region.any() else found.opening
 
     def shaped(self, found: Sunk) -> Sunk:
         """With a floor that rises towards the outline, where that explains more than noise, and with a smoother outline
         that explains no less.
+
+        As many photographs see a rounded floor as its wall: it has the best depth, not the deepest of equal ones.
         """
-        rounded = self.rounded(found)
-        if rounded is not found:
-            found = self.rounded(self.refined(rounded, STEPS))
-            # as many photographs see a rounded floor as its wall: the best depth, not the deepest of equal ones
-            depths = [round(factor * found.depth, 1) for factor in NEAR_DEPTHS]
-            found = min((self.sunk(found.opening, depth) for depth in depths), key=lambda each: each.errors.mean())
+        for rounding in ROUNDINGS:
+            rounded = self.best_near(replace(found.opening, rounding=rounding), found.depth)
+            rounded = self.best_near(self.outlined(rounded, STEPS), rounded.depth)
+            if not self.is_as_good(found, rounded):
+                found = rounded
         for detail in SMOOTH_OUTLINES:
             opening = found.opening.smoothed(detail)
             if opening.region.any():
                 found = min(found, self.sunk(opening, found.depth), key=lambda each: each.errors.mean())
         return found
 
-    def rounded(self, found: Sunk) -> Sunk:
-        """With the floor that explains most; as it is where no other explains more than noise."""
-        for rounding in ROUNDINGS:
-            opening = replace(found.opening, rounding=rounding)
-            other = self.best(opening, self.depths(opening))
-            if not self.is_as_good(found, other):
-                found = other
-        return found
+    def best_near(self, opening: Opening, depth: float) -> Sunk:
+        """At the depth near this one that explains most."""
+        tried = (self.sunk(opening, round(factor * depth, 1)) for factor in NEAR_DEPTHS)
+        return min(tried, key=lambda each: each.errors.mean())
 
     def is_as_good(self, found: Sunk, best: Sunk) -> bool:
         """Whether it leaves no more than another one, or more by noise alone."""
@@ -151,8 +152,8 @@ def refined_twice(search: SearchT, first: Sunk, search_of: Callable[[Opening], S
     found = search.refined(first, FIRST_STEPS)
     wider = search_of(found.opening)
     if wider is None:
-        return search, search.shaped(found)
-    return wider, wider.shaped(wider.refined(wider.sunk(found.opening, found.depth), STEPS))
+        return search, found
+    return wider, wider.refined(wider.sunk(found.opening, found.depth), STEPS)
 
 
 def smooth_triangles(volume: Volume) -> tuple[Floats, np.ndarray]:

@@ -34,6 +34,9 @@ HALF_OF_VARIANCE = 0.5
 PROMISING = 0.25
 """That share, before the outline is refined, from which it is."""
 
+NEARLY_HALF = 0.4
+"""That share, after it is refined, from which its floor is shaped, too."""
+
 DISTANT_DEGREES, THIRD_OF_VARIANCE = 35.0, 1 / 3
 """Photographs that are this far apart must explain that share: reflections, too, agree between near ones."""
 
@@ -137,6 +140,8 @@ def _find_hollow(volume: Volume, solid: Solid, photographs: Sequence[BlurredPhot
         if any(is_nearly(sunk_once.opening, other) for other in rejected):
             continue
         search, found = refined_twice(search, sunk_once, search_of)
+        if search.explained(found) >= NEARLY_HALF:
+            found = search.shaped(found)
         hollow = search.hollow(found)
         if hollow.is_confirmed:
             return hollow

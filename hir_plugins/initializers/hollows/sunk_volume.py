@@ -14,6 +14,9 @@ from hir_plugins.initializers.surface.volume import Volume
 WALL = 2.0
 """Least thickness of what stays, in voxels of the search."""
 
+WALL_SAMPLES = 1.5
+"""The same in voxels of the volume that is carved, if they are larger: a thinner wall has holes."""
+
 IN_FRONT = 4.0
 """Voxels of the search in front of an opening's plane that its columns carve; what is farther ahead stays."""
 
@@ -75,7 +78,8 @@ def sunk(volume: Volume, search: Volume, opening: Opening, depth: float, wall: A
     near, place, below = near[affected], place[affected], below[affected]
     at_wall = map_coordinates(wall, place.T, order=1, mode="nearest")
     distance = opening.distance(place)
-    inside = np.minimum(np.minimum(distance, depth * opening.floor(distance) - below), at_wall - WALL)
+    least = max(WALL, WALL_SAMPLES * volume.spacing / search.spacing)
+    inside = np.minimum(np.minimum(distance, depth * opening.floor(distance) - below), at_wall - least)
     inside = np.where(below < -IN_FRONT, -1.0, inside)
     carved = (-inside * search.spacing).astype(np.float32)
     values = volume.values.copy()

@@ -48,6 +48,16 @@ def cup() -> trimesh.Trimesh:
     return whole
 
 
+def bowl() -> trimesh.Trimesh:
+    """Half of an ellipsoid with radii of 0.6 and 0.7 that opens upwards, with a wall of 0.15."""
+    angle = np.linspace(0, np.pi / 2, 24)
+    outer = np.stack([0.6 * np.sin(angle), 0.35 - 0.7 * np.cos(angle)], axis=1)
+    inner = np.stack([0.45 * np.sin(angle), 0.35 - 0.55 * np.cos(angle)], axis=1)[::-1]
+    whole = trimesh.creation.revolve(np.concatenate([outer, inner]), sections=64)
+    whole.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
+    return whole
+
+
 def block() -> trimesh.Trimesh:
     return trimesh.creation.cylinder(
         0.6, 0.8, sections=64, transform=trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0])
@@ -120,6 +130,24 @@ def test_a_cup_is_hollow(sectors: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (new.signed_distance(0.36 * ring) > 0).mean() > 0.8, "0.14 inside the wall, in nearly all directions"
     assert (new.signed_distance(0.56 * ring) < 0).mean() > 0.9, "the wall stays"
     assert queries.nearest(scene.mesh.positions.double().numpy())[0].mean() < 0.04
+
+
+def test_the_floor_of_a_bowl_rises_towards_its_rim(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outline_search, "SECTORS", 4)
+    truth = bowl()
+    assert truth.is_watertight and truth.volume > 0
+    capture = photographed(truth, painted)
+    scene, hollows = hollowed(capture, hull_of(capture))
+    assert hollows[0]["explained"] > 0.7
+    assert height_inside(scene) == pytest.approx(-0.2, abs=0.08)
+    angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    ring = np.stack([np.cos(angle), np.zeros(32), np.sin(angle)], axis=1)
+    new = MeshQueries(scene.mesh.positions.double().numpy(), scene.mesh.faces.numpy())
+    # a well of this depth with straight walls has no solid here
+    solid = 0.4 * ring - [0, 0.05, 0]
+    assert (MeshQueries(np.asarray(truth.vertices), np.asarray(truth.faces)).signed_distance(solid) < 0).all()
+    assert (new.signed_distance(solid) < 0).mean() > 0.8
+    assert (new.signed_distance(0.25 * ring) > 0).mean() > 0.8
 
 
 def lit_metal(points: Array, toward: Array) -> Array:
@@ -261,6 +289,24 @@ def test_a_sunk_opening_is_a_well_with_walls() -> None:
     fine = Volume(volume.values.repeat(2, 0).repeat(2, 1).repeat(2, 2), volume.origin - 0.025, 0.05)
     carved = sunk(fine, volume, opening, 8.0, wall)
     assert (carved.values[30, 38:50, 30] < 0).all() and (carved.values[30, 16:32, 30] > 0).all()
+
+
+def test_a_rounded_floor_is_a_quarter_of_an_ellipse() -> None:
+    opening = replace(lid_of_the_box(10), rounding=1.0)
+    distance = np.array([-1.0, 0.0, 5.5, 11.0, 20.0])
+    assert opening.floor(distance) == pytest.approx([0, 0, np.sqrt(0.75), 1, 1])
+    assert replace(opening, rounding=0.5).floor(distance) == pytest.approx([0, 0, 1, 1, 1])
+    assert lid_of_the_box(10).floor(distance) == pytest.approx(np.ones(5))
+    volume = solid()
+    wall = wall_distance(Solid.of(volume.values > 0), opening)
+    straight, rounded = (sunk(volume, volume, each, 10.0, wall) for each in (lid_of_the_box(10), opening))
+    assert (rounded.values >= straight.values).all()
+    middle, beside = (
+        [int(np.flatnonzero(each.values[column, 7:, 15] > 0).max()) for each in (straight, rounded)]
+        for column in (15, 7)
+    )
+    assert abs(middle[0] - middle[1]) <= 1, "the floor in the middle is as deep"
+    assert beside[0] == middle[0] < beside[1] - 2
 
 
 def opposite(opening: Opening) -> Opening:
