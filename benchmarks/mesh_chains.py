@@ -87,7 +87,7 @@ def _fitted(capture: Capture, method: str, seed: int, plugins: PluginManager) ->
         settings = load_config(plugins).geometry
         context = StageContext(plugins, workspace, seed=seed)
         if method == "former":
-            with patch("hir_core.stages.geometry.level_plan.FINAL_EDGE_PIXELS", FORMER_EDGE_PIXELS):
+            with patch("hir_core.stages.geometry.silhouettes.level_plan.FINAL_EDGE_PIXELS", FORMER_EDGE_PIXELS):
                 fitted, _ = fit_geometry(scene, capture, replace(settings, levels=FORMER_LEVELS), context)
         else:
             fitted, _ = fit_geometry(scene, capture, settings, context)

@@ -40,7 +40,7 @@ STEPS = (
         "Capture with cameras and masks, Scene with a mesh",
         plugin=True,
     ),
-    Step("geometry", "fit silhouettes to masks", "hir_core/stages/geometry/silhouette_fit.py"),
+    Step("geometry", "fit silhouettes to masks", "hir_core/stages/geometry/silhouettes/silhouette_fit.py"),
     Step("", "area of a silhouette, and its gradient", "hir_plugins/geometry_renderers/contour.py", plugin=True),
     Step("", "photo-consistency of the surface", "hir_core/stages/geometry/photo_refinement.py"),
     Step(

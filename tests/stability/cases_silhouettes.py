@@ -10,7 +10,7 @@ import torch
 from hir_core.capture import Camera
 from hir_core.scene import Mesh, Topology
 from hir_core.scene.silhouette_targets import SilhouetteTargets, intersection_over_union
-from hir_core.stages.geometry.robust_view_weights import RobustViewWeights
+from hir_core.stages.geometry.silhouettes.robust_view_weights import RobustViewWeights
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions
 from tests.stability.case import Case
@@ -143,7 +143,7 @@ def _ratios() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.stages.geometry.robust_view_weights.RobustViewWeights.update",
+            "hir_core.stages.geometry.silhouettes.robust_view_weights.RobustViewWeights.update",
             "views that all fit perfectly",
             "weights of 1",
             lambda: view_weights.update([0, 1], np.zeros(2), active=True),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hir_core.mesh.mesh_validity import MeshState
 from hir_core.run.stage_context import StageContext
 from hir_core.stages.geometry.geometry_report import IouChange
-from hir_core.stages.geometry.silhouette_fit import SilhouetteFit
-from hir_core.stages.geometry.silhouette_residual import SilhouetteResidual
+from hir_core.stages.geometry.silhouettes.silhouette_fit import SilhouetteFit
+from hir_core.stages.geometry.silhouettes.silhouette_residual import SilhouetteResidual
 
 NOTABLE_MASK_SHARE = 1e-3
 """Share of the masks' area from which missing or filled parts cause a warning."""

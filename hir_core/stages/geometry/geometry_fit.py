@@ -21,7 +21,6 @@ from hir_core.plugins.interfaces import GeometryRenderer
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
 from hir_core.scene.frames import unit_similarity
-from hir_core.stages.geometry.floating_components import remove_floating_components
 from hir_core.stages.geometry.geometry_advice import (
     warn_of_defects,
     warn_of_iou_loss,
@@ -38,7 +37,6 @@ from hir_core.stages.geometry.geometry_report import (
     SilhouetteResidualReport,
     ViewsReport,
 )
-from hir_core.stages.geometry.level_plan import level_count, triangles_of_level
 from hir_core.stages.geometry.measured_depths.depth_term import depth_rays
 from hir_core.stages.geometry.occlusion_boundaries.boundary_refinement import refine_occlusion_boundaries
 from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
@@ -47,9 +45,12 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
 )
 from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
 from hir_core.stages.geometry.photo_refinement import refine_by_photo_consistency
-from hir_core.stages.geometry.silhouette_fit import SilhouetteFit, fit_mesh, pass_of_level, pass_of_outlines
-from hir_core.stages.geometry.silhouette_residual import silhouette_residual
-from hir_core.stages.held_out_views import held_out_for_geometry
+from hir_core.stages.geometry.silhouettes.floating_components import remove_floating_components
+from hir_core.stages.geometry.silhouettes.level_plan import level_count, triangles_of_level
+from hir_core.stages.geometry.silhouettes.outline_refinement import refine_outlines
+from hir_core.stages.geometry.silhouettes.silhouette_fit import SilhouetteFit, fit_mesh, pass_of_level
+from hir_core.stages.geometry.silhouettes.silhouette_residual import silhouette_residual
+from hir_core.stages.held_out_views import held_out_for_geometry, judging_views
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +84,7 @@ def fit_geometry(
     if settings.prune:
         mesh, removed = remove_floating_components(fit.renderer, mesh, fit.targets, fit.train)
     mesh, levels, curve = _fit_silhouettes(mesh, fit, float(np.median(list(initial_errors.values()))))
-    outlines: list[LevelReport] = []
-    mesh = _fit_outlines(mesh, fit, outlines)
+    mesh, outlines = refine_outlines(mesh, fit, 0)
     silhouette_mesh = mesh
     photo_consistency: PhotoConsistencyReport | PhotoConsistencySkipped
     photo_consistency = PhotoConsistencySkipped("left out by the settings")
@@ -96,10 +96,10 @@ def fit_geometry(
         mesh, occlusion_boundaries = refine_occlusion_boundaries(
             mesh, capture, fit.iou, fit.held_out, settings, context
         )
-    earlier = None
+    earlier, outlines_again = None, None
     if photo_consistency.accepted or occlusion_boundaries.accepted:
         earlier = silhouette_mesh
-        mesh = _fit_outlines(mesh, fit, outlines)
+        mesh, outlines_again = refine_outlines(mesh, fit, 1)
     mesh, after = _repair(mesh, before.self_intersecting, earlier)
     if earlier is not None:
         earlier, _ = _repair(earlier, before.self_intersecting, None)
@@ -123,7 +123,7 @@ def fit_geometry(
         silhouette_residual=SilhouetteResidualReport(residual.missing, residual.filled),
         mesh=MeshChange(before, after),
         levels=levels,
-        outlines=outlines,
+        outlines=[each for each in (outlines, outlines_again) if each is not None],
         photo_consistency=photo_consistency,
         occlusion_boundaries=occlusion_boundaries,
         sensor_depth=None
@@ -144,7 +144,9 @@ def _prepare(mesh: Mesh, capture: Capture, settings: GeometrySettings, context: 
     if len(targets) == 0:
         raise StageError("the geometry stage has no views; name a capture with photographs")
     held_out = held_out_for_geometry(len(targets), settings.held_out, capture.take_numbers)
-    fit = SilhouetteFit(renderer, targets, settings, context, held_out, [view.name for view in capture.views])
+    judges = judging_views(len(targets), held_out, capture.take_numbers)
+    names = [view.name for view in capture.views]
+    fit = SilhouetteFit(renderer, targets, settings, context, held_out, judges, names)
     if settings.depth_weight > 0 and settings.iterations + settings.iterations_per_view > 0:
         train = [capture.views[i] for i in fit.train]
         fit.depth = depth_rays(train, settings.start_radius or 1.0, context.seed)
@@ -167,15 +169,6 @@ def _fit_silhouettes(
         curves.append(loop.curves.get("silhouette", np.zeros(0)))
         reports.append(LevelReport(len(mesh.faces), loop.steps, held_out_error, loop.stopped_early, loop.skipped))
     return mesh, reports, np.concatenate(curves).tolist() if curves else []
-
-
-def _fit_outlines(mesh: Mesh, fit: SilhouetteFit, reports: list[LevelReport]) -> Mesh:
-    """The mesh with its outlines on the masks' again; adds its report. The same mesh where the settings say so."""
-    if fit.settings.outline_iterations == 0:
-        return mesh
-    fitted, loop, held_out_error = fit_mesh(mesh, fit, pass_of_outlines(fit, len(reports)))
-    reports.append(LevelReport(len(mesh.faces), loop.steps, held_out_error, loop.stopped_early, loop.skipped))
-    return fitted
 
 
 def _repair(mesh: Mesh, allowed: int, silhouette_mesh: Mesh | None) -> tuple[Mesh, MeshState]:

@@ -10,6 +10,7 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesSkipped,
 )
 from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
+from hir_core.stages.geometry.silhouettes.outline_refinement import OutlinesReport
 
 
 @dataclass(frozen=True)
@@ -88,8 +89,8 @@ class GeometryReport:
     silhouette_residual: SilhouetteResidualReport
     mesh: MeshChange
     levels: list[LevelReport]
-    outlines: list[LevelReport]
-    """The fits to the silhouettes alone: after the levels, and after photographs moved the mesh."""
+    outlines: list[OutlinesReport]
+    """Refinements of the outlines: after the levels, and after photographs moved the mesh."""
     photo_consistency: PhotoConsistencyReport | PhotoConsistencySkipped
     occlusion_boundaries: OcclusionBoundariesReport | OcclusionBoundariesSkipped
     sensor_depth: SensorDepthReport | None

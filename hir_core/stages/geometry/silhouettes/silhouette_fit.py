@@ -5,7 +5,7 @@ Fewer than `MIN_HELD_OUT_VIEWS` choose nothing: the level takes all its steps, a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -27,9 +27,9 @@ from hir_core.plugins.progress import Progress
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
 from hir_core.scene.silhouette_targets import SilhouetteTargets, intersection_over_union
-from hir_core.stages.geometry.best_state import BestState
 from hir_core.stages.geometry.measured_depths.depth_term import DepthRays
-from hir_core.stages.geometry.robust_view_weights import RobustViewWeights
+from hir_core.stages.geometry.silhouettes.best_state import BestState
+from hir_core.stages.geometry.silhouettes.robust_view_weights import RobustViewWeights
 from hir_core.stages.held_out_views import MIN_HELD_OUT_VIEWS
 
 HELD_OUT_INTERVAL_STEPS = 25
@@ -41,12 +41,6 @@ EARLIEST_STOP = 0.7
 VIEWS_PER_BATCH = 8
 """Of evaluations without gradient."""
 
-OUTLINE_LEARNING_RATE, OUTLINE_LEARNING_RATE_END = 5e-3, 0.05
-"""Of the outlines' pass, as a fraction of the object's radius: they are less than a pixel off."""
-
-OUTLINE_SMOOTHNESS = 2.0
-"""LargeSteps' λ of the outlines' pass; nothing else smooths it."""
-
 
 @dataclass
 class SilhouetteFit:
@@ -57,6 +51,8 @@ class SilhouetteFit:
     settings: GeometrySettings
     context: StageContext
     held_out: list[int]
+    judges: list[int]
+    """Views that decide how far outlines move; those held out are among them."""
     names: list[str]
     """Of all views, for messages."""
     depth: DepthRays | None = None
@@ -72,12 +68,12 @@ class SilhouetteFit:
         area, intersection = self.renderer.overlap(mesh, self.targets[views])
         return intersection_over_union(area, intersection, self.areas[views].to(area.device))
 
-    def errors(self, mesh: Mesh, views: list[int]) -> dict[int, float]:
+    def errors(self, mesh: Mesh, views: Sequence[int]) -> dict[int, float]:
         """1 − IoU of each of the named views."""
         errors: dict[int, float] = {}
         with torch.no_grad():
             for i in range(0, len(views), VIEWS_PER_BATCH):
-                batch = views[i : i + VIEWS_PER_BATCH]
+                batch = list(views[i : i + VIEWS_PER_BATCH])
                 errors.update(zip(batch, (1 - self.iou(mesh, batch)).tolist(), strict=True))
         return errors
 
@@ -89,6 +85,9 @@ class SilhouettePass:
     name: str
     """Of its checkpoint."""
     number: int
+    train: Sequence[int]
+    held_out: Sequence[int]
+    """Views that choose the state, if they are enough."""
     first_step: int
     steps: int
     total_steps: int
@@ -110,6 +109,8 @@ def pass_of_level(fit: SilhouetteFit, level: int, levels: int) -> SilhouettePass
     return SilhouettePass(
         name=f"level_{level}",
         number=level,
+        train=fit.train,
+        held_out=fit.held_out,
         first_step=level * steps,
         steps=steps,
         total_steps=levels * steps,
@@ -122,29 +123,12 @@ def pass_of_level(fit: SilhouetteFit, level: int, levels: int) -> SilhouettePass
     )
 
 
-def pass_of_outlines(fit: SilhouetteFit, number: int) -> SilhouettePass:
-    """Silhouettes alone: outlines that a bending energy or photographs moved go back to the masks."""
-    steps = fit.settings.outline_iterations
-    return SilhouettePass(
-        name=f"outlines_{number}",
-        number=number,
-        first_step=0,
-        steps=steps,
-        total_steps=steps,
-        learning_rate=OUTLINE_LEARNING_RATE,
-        learning_rate_end=OUTLINE_LEARNING_RATE_END,
-        smoothness=OUTLINE_SMOOTHNESS,
-        regularizers={},
-        trust_errors_from=0,
-    )
-
-
 def fit_mesh(mesh: Mesh, fit: SilhouetteFit, plan: SilhouettePass) -> tuple[Mesh, OptimizationReport, float | None]:
     """The mesh of the lowest held-out error (the last one with too few views), the report, and that error."""
     settings, context = fit.settings, fit.context
     scene = Scene(mesh)
     energies = prepare_energies(scene, plan.regularizers, context.plugins, context.seed)
-    batches = Batches(len(fit.train), max(1, settings.views_per_step), context.seed + plan.number)
+    batches = Batches(len(plan.train), max(1, settings.views_per_step), context.seed + plan.number)
     radius = settings.start_radius or 1.0
     rate = plan.learning_rate * radius
     optimizer: torch.optim.Optimizer
@@ -160,7 +144,7 @@ def fit_mesh(mesh: Mesh, fit: SilhouetteFit, plan: SilhouettePass) -> tuple[Mesh
 
     def loss(step: int) -> Terms:
         current = mesh.with_positions(decode(parameter))
-        views = [fit.train[i] for i in batches(step)]
+        views = [plan.train[i] for i in batches(step)]
         error = 1 - fit.iou(current, views)
         weight = torch.ones_like(error)
         if settings.robust:
@@ -173,22 +157,22 @@ def fit_mesh(mesh: Mesh, fit: SilhouetteFit, plan: SilhouettePass) -> tuple[Mesh
         return terms | {"depth": settings.depth_weight / radius**2 * fit.depth.energy(current, step)}
 
     best = BestState(parameter)
-    views_choose = len(fit.held_out) >= MIN_HELD_OUT_VIEWS
+    views_choose = len(plan.held_out) >= MIN_HELD_OUT_VIEWS
 
     def held_out_error() -> float:
         with torch.no_grad():
-            errors = fit.errors(mesh.with_positions(decode(parameter)), fit.held_out)
+            errors = fit.errors(mesh.with_positions(decode(parameter)), plan.held_out)
         return float(np.median(list(errors.values())))
 
     def locate(step: int, term: str) -> str:
         current = mesh.with_positions(decode(parameter).detach())
         if term == "silhouette":
-            views = [fit.train[i] for i in batches(step)]
+            views = [plan.train[i] for i in batches(step)]
             return nonfinite_views(current, views, fit.names, lambda moved, view: 1 - fit.iou(moved, [view]))
         return nonfinite_vertices(current, lambda moved: sum_of(energies(replace(scene, mesh=moved))))
 
     def after_step(step: int) -> bool:
-        if not fit.held_out or (step + 1) % HELD_OUT_INTERVAL_STEPS:
+        if not plan.held_out or (step + 1) % HELD_OUT_INTERVAL_STEPS:
             return False
         error = held_out_error()
         done = plan.first_step + step + 1
@@ -210,7 +194,7 @@ def fit_mesh(mesh: Mesh, fit: SilhouetteFit, plan: SilhouettePass) -> tuple[Mesh
     )
     warn_of_skipped_steps(report, context.warn)
     error = best.error
-    if error is None and fit.held_out:
+    if error is None and plan.held_out:
         error = held_out_error()
     with torch.no_grad():
         chosen = parameter if best.error is None else best.tensor
