@@ -24,6 +24,7 @@ from hir_core.stages.reflectance.selection.held_out_comparison import (
     SMALLEST_ERROR,
     SUFFICIENT_DB,
     differs,
+    is_near_tie,
     is_refined,
     paired_gain,
 )
@@ -120,8 +121,9 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def compare_runner_up(self, rival: FoldedFit[FitT], simpler: bool) -> FoldedFit[FitT]:
         """Gives a rival the refinements and the effort of the selected model, and selects it where it is better.
 
-        A `simpler` rival is selected in a tie, too. Shading normals are fitted under a light in the world alone, so
-        such a rival of a light on the camera gets them where they gain. Returns the fit of the rival.
+        A `simpler` rival is selected in a tie, too; one under another, less simple light not in a near tie. Shading
+        normals are fitted under a light in the world alone, so such a rival of a light on the camera gets them where
+        they gain. Returns the fit of the rival.
         """
         spec = self._fits.supported(with_refinements(rival.spec, self.spec)) or rival.spec
         relief = replace(spec, normals="map")
@@ -137,8 +139,13 @@ class RefinementSelection(Generic[FitT, RefinementT]):
                 fit = candidate
         gain, standard_error = gain_of(fit, over=self.fit)
         views = len(fit.errors)
-        worse, better = differs(-gain, standard_error, views), differs(gain, standard_error, views)
-        accepted = better or (simpler and not worse)
+        if simpler:
+            accepted = not differs(-gain, standard_error, views)
+        elif spec.light_frame != self.spec.light_frame:
+            # the simpler light stays in a near tie: a wrong one spoils every relit picture
+            accepted = not is_near_tie(gain, standard_error, views)
+        else:
+            accepted = differs(gain, standard_error, views)
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)

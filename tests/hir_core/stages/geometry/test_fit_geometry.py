@@ -97,7 +97,7 @@ def test_a_ball_becomes_the_shape_in_the_masks(capture: Capture, tmp_path: Path)
     assert len(report.views.held_out) == 2
 
 
-def test_outlines_are_fitted_without_the_bending_energy_that_moved_them(capture: Capture, tmp_path: Path) -> None:
+def test_outlines_are_fitted_without_the_regularizers_that_moved_them(capture: Capture, tmp_path: Path) -> None:
     stiff = replace(SETTINGS, regularizers={"laplacian": {"weight": 3e-3, "cotangent": True, "scale_free": True}})
     without, report = _fit(_ball(), capture, replace(stiff, outline_iterations=0), tmp_path / "without")
     assert report.outlines == []
@@ -106,7 +106,7 @@ def test_outlines_are_fitted_without_the_bending_energy_that_moved_them(capture:
     assert outlines.accepted and outlines.movement.share > 0.9 and len(outlines.judging_views) == 6
     assert outlines.judging_iou.after > outlines.judging_iou.before
     assert fitted.topology.faces.equal(without.topology.faces)
-    # views that took no part: the bending energy rounds the ends of the peanut
+    # views that took no part: the term rounds the ends of the peanut
     (iou_without, offset_without), (iou, offset) = (_unseen_offset(mesh, PEANUT) for mesh in (without, fitted))
     assert 1 - iou < 0.5 * (1 - iou_without)
     assert abs(offset) < 0.1 < abs(offset_without)

@@ -182,6 +182,21 @@ def test_a_runner_up_gets_the_refinements_of_the_selected_one_and_its_own(relief
     assert kinds[0] == "mixed" and kinds[-1] == "dielectric", "its own refinements come after it was selected"
 
 
+@pytest.mark.parametrize(("ratio", "expected"), [(0.4, "camera"), (1.065, "world")], ids=["5.6 errors", "2.1 errors"])
+def test_a_light_on_the_camera_is_not_selected_in_a_near_tie(ratio: float, expected: str) -> None:
+    """Both lights are alike until a map was accepted; then one on the camera gains 0.5 dB, which differs by view."""
+
+    class GainOfMaps(Scripted):
+        def errors(self, fit: Fit, views: Sequence[int]) -> np.ndarray:
+            sign = np.array([(-1) ** number for number in range(len(views))])
+            ahead = fit.spec.light_frame == "camera" and fit.spec.specular == "map"
+            return np.asarray(super().errors(fit, views) * 10 ** (-0.05 * ahead * (1 + ratio * sign)))
+
+    solver = GainOfMaps(lambda spec: level(25 + (spec.specular == "map")))
+    selection = select(solver, ReflectanceSettings(brdf="dielectric"))
+    assert selection.hypothesis.light_frame == expected
+
+
 @pytest.mark.parametrize(
     "settings,kinds,frames",
     [
