@@ -90,16 +90,16 @@ def fit_geometry(
     photo_consistency = PhotoConsistencySkipped("left out by the settings")
     if settings.photo_consistency == "auto":
         mesh, photo_consistency = refine_by_photo_consistency(mesh, capture, fit.iou, fit.held_out, settings, context)
+    outlines_again = None
+    if photo_consistency.accepted:
+        mesh, outlines_again = refine_outlines(mesh, fit, 1)
     occlusion_boundaries: OcclusionBoundariesReport | OcclusionBoundariesSkipped
     occlusion_boundaries = OcclusionBoundariesSkipped("left out by the settings")
     if settings.photo_consistency == "auto" and settings.occlusion_boundary_iterations > 0:
         mesh, occlusion_boundaries = refine_occlusion_boundaries(
             mesh, capture, fit.iou, fit.held_out, settings, context
         )
-    earlier, outlines_again = None, None
-    if photo_consistency.accepted or occlusion_boundaries.accepted:
-        earlier = silhouette_mesh
-        mesh, outlines_again = refine_outlines(mesh, fit, 1)
+    earlier = silhouette_mesh if photo_consistency.accepted or occlusion_boundaries.accepted else None
     mesh, after = _repair(mesh, before.self_intersecting, earlier)
     if earlier is not None:
         earlier, _ = _repair(earlier, before.self_intersecting, None)
