@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
 import numpy as np
 import pycolmap
@@ -21,6 +21,7 @@ from hir_core.scene import Scene
 from hir_plugins.initializers.options import ColmapOptions
 from hir_plugins.initializers.sfm.metric_scale import MetricScale, read_marks, scale_of_bar, scale_of_gps
 from hir_plugins.initializers.sfm.sfm_images import SfmImage, write_images
+from hir_plugins.initializers.sfm.source_alignment import solved_from_source
 from hir_plugins.initializers.sfm.structure_from_motion import largest_reconstruction
 from hir_plugins.initializers.sfm.triangulation import triangulate
 from hir_plugins.initializers.surface.object_bounds import object_bounding_sphere
@@ -82,7 +83,7 @@ class Colmap(Initializer):
             )
         _warn_of_missing_takes(solved)
         if posed:
-            solved = replace(solved, world_from_source=_solved_from_source(solved, original, self._config.seed))
+            solved = replace(solved, world_from_source=solved_from_source(solved, original, self._config.seed))
         object_from_solved, radius = _object_frame(solved)
         size = self._config.object_size
         scale = self._scale(solved) or MetricScale(size / (2 * radius), f"object_size, assumed to be {size:g} m")
@@ -224,30 +225,3 @@ def _object_frame(capture: Capture) -> tuple[Array, float]:
     translation = np.eye(4)
     translation[:3, 3] = -(rotation[:3, :3] @ center)
     return translation @ rotation, radius
-
-
-def _solved_from_source(solved: Capture, original: Capture, seed: int) -> Array:
-    """4×4 similarity from the files' world to the estimated one, from the camera centres.
-
-    With it, held-out views and a true mesh of the capture stay comparable with the result.
-    """
-    pairs = [
-        (a.camera.center, b.camera.center)
-        for a, b in zip(original.views, solved.views, strict=True)
-        if a.camera is not None and b.camera is not None
-    ]
-    old, new = (np.array(centers) for centers in zip(*pairs, strict=True))
-    options = pycolmap.RANSACOptions()
-    options.max_error, options.random_seed = 0.05 * float(np.ptp(new, axis=0).max()), seed
-    # pycolmap returns a dict here, not the Sim3d of its stubs
-    fit: Any = pycolmap.estimate_sim3d_robust(old, new, options)
-    if fit is None:
-        warnings.warn(
-            "the estimated cameras do not match the capture's own cameras; held-out views cannot be compared with "
-            "this run",
-            stacklevel=3,
-        )
-        return np.eye(4)
-    similarity = np.eye(4)
-    similarity[:3] = fit["tgt_from_src"].matrix()
-    return similarity @ original.world_from_source
