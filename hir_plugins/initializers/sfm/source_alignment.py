@@ -84,7 +84,7 @@ def with_equal_pictures(similarity: Array, points: Array, pairs: list[tuple[Came
             ]
         )
 
-    found = least_squares(differences, np.zeros(7), loss="soft_l1", f_scale=_NEAR_PIXELS)
+    found = least_squares(differences, np.zeros(7), loss="cauchy", f_scale=_NEAR_PIXELS)
     return np.asarray(np.linalg.inv(moved(found.x)) @ similarity)
 
 

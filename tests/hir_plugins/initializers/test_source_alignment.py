@@ -58,7 +58,7 @@ def test_points_keep_their_pixels(shorter: float, outliers: int) -> None:
         [old.project(there)[0] - old.project(POINTS)[0] for i, old in enumerate(given) if i % 5 or not outliers]
     )
     if shorter == 1:
-        assert np.abs(differences).max() < 0.01
+        assert np.abs(differences).max() < (0.1 if outliers else 0.01)
     # what is left of 3 % of the size, 2.5 pixels, is perspective
     assert np.sqrt((differences**2).mean()) < 0.3
     centers = solved_from_source(capture_of(found), capture_of(given), seed=0)
