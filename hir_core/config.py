@@ -87,8 +87,8 @@ class GeometrySettings:
     """After photo-consistency, steps that move the boundaries where one part of the object hides another, such as the
     rim of a vessel, to where the photographs show them; as far as views that take no part confirm it. 0 leaves them."""
     outline_iterations: Annotated[int, Interval(ge=0)] = 200
-    """Steps that fit the silhouettes without regularizers, after the levels and again after photo-consistency, as far as
-    views that take no part confirm it. 0 leaves outlines where regularizers and photographs moved them."""
+    """Steps that fit the silhouettes without regularizers, after the levels and again after photo-consistency; as far
+    as views that take no part confirm it. 0 leaves outlines where regularizers and photographs moved them."""
     depth_weight: Annotated[float, Interval(ge=0)] = 10.0
     """Weight of the depths that a sensor measured, where the capture has them: they hold the surface where no outline
     does. 0 leaves them out of this stage."""
