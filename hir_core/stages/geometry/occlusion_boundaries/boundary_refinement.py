@@ -43,6 +43,9 @@ from hir_core.stages.held_out_views import judging_views
 LEARNING_RATE = 3e-3
 """Step size as a fraction of the object's radius: boundaries are a few pixels off."""
 
+SILHOUETTE_WEIGHT = 4.0
+"""Of the outlines beside the boundaries inside them. Both are shares of the mask's area."""
+
 STEPS_PER_COLORS = 36
 """Vertices are coloured anew after so many steps; a multiple of `STEPS_PER_RAY_STRUCTURE`, so that a run that continues
 from a checkpoint does the same."""
@@ -220,7 +223,7 @@ def _fit(
         silhouette = (1 - fit.iou(current, views)).mean()
         return {
             "occlusion_boundary": fit.boundary_error(current, views).to(parameter),
-            "silhouette": silhouette.to(parameter),
+            "silhouette": SILHOUETTE_WEIGHT * silhouette.to(parameter),
         }
 
     def locate(step: int, term: str) -> str:
