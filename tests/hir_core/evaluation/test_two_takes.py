@@ -107,5 +107,5 @@ def test_the_table_has_means_of_the_gain() -> None:
 def test_dots_darken_a_part_of_the_base_colour() -> None:
     points = np.random.default_rng(0).uniform(-1, 1, (4000, 3))
     surface = MATERIALS["matt"].draw(points, np.zeros(4000, np.int64), np.random.default_rng(0))
-    share = two_takes.with_dots(surface, points, 3).base_color / surface.base_color
+    share = two_takes.with_dots(surface, points, 3, 8.0).base_color / surface.base_color
     assert set(np.unique(share.round(6))) == {0.3, 1.0} and 0.1 < (share < 0.5).mean() < 0.6
