@@ -42,6 +42,7 @@ SETTINGS = GeometrySettings(
     held_out=0.15,
     photo_consistency_iterations=80,
     occlusion_boundary_iterations=0,
+    outline_iterations=0,
     regularizers={"laplacian": {"weight": 1e-5, "cotangent": True, "scale_free": True}},
 )
 
