@@ -84,15 +84,16 @@ def fit_geometry(
     if settings.prune:
         mesh, removed = remove_floating_components(fit.renderer, mesh, fit.targets, fit.train)
     mesh, levels, curve = _fit_silhouettes(mesh, fit, float(np.median(list(initial_errors.values()))))
-    mesh, outlines = refine_outlines(mesh, fit, 0)
+    mesh, report_of_outlines = refine_outlines(mesh, fit, 0)
+    outlines = [report_of_outlines]
     silhouette_mesh = mesh
     photo_consistency: PhotoConsistencyReport | PhotoConsistencySkipped
     photo_consistency = PhotoConsistencySkipped("left out by the settings")
     if settings.photo_consistency == "auto":
         mesh, photo_consistency = refine_by_photo_consistency(mesh, capture, fit.iou, fit.held_out, settings, context)
-    outlines_again = None
     if photo_consistency.accepted:
-        mesh, outlines_again = refine_outlines(mesh, fit, 1)
+        mesh, report_of_outlines = refine_outlines(mesh, fit, 1)
+        outlines.append(report_of_outlines)
     occlusion_boundaries: OcclusionBoundariesReport | OcclusionBoundariesSkipped
     occlusion_boundaries = OcclusionBoundariesSkipped("left out by the settings")
     if settings.photo_consistency == "auto" and settings.occlusion_boundary_iterations > 0:
@@ -123,7 +124,7 @@ def fit_geometry(
         silhouette_residual=SilhouetteResidualReport(residual.missing, residual.filled),
         mesh=MeshChange(before, after),
         levels=levels,
-        outlines=[each for each in (outlines, outlines_again) if each is not None],
+        outlines=outlines,
         photo_consistency=photo_consistency,
         occlusion_boundaries=occlusion_boundaries,
         sensor_depth=None

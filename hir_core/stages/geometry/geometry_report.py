@@ -10,7 +10,7 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesSkipped,
 )
 from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
-from hir_core.stages.geometry.silhouettes.outline_refinement import OutlinesReport
+from hir_core.stages.geometry.silhouettes.outline_refinement import OutlinesReport, OutlinesSkipped
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class GeometryReport:
     silhouette_residual: SilhouetteResidualReport
     mesh: MeshChange
     levels: list[LevelReport]
-    outlines: list[OutlinesReport]
+    outlines: list[OutlinesReport | OutlinesSkipped]
     """Refinements of the outlines: after the levels, and after photographs moved the mesh."""
     photo_consistency: PhotoConsistencyReport | PhotoConsistencySkipped
     occlusion_boundaries: OcclusionBoundariesReport | OcclusionBoundariesSkipped

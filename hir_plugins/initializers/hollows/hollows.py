@@ -110,6 +110,7 @@ class Hollows(Initializer):
 def _described(hollow: Hollow | RenderedHollow, voxel: float) -> dict[str, object]:
     described: dict[str, object] = {
         "depth": round(hollow.depth * voxel, 5),
+        "rounding": hollow.opening.rounding,
         "explained_before": round(hollow.explained_before, 4),
         "explained": round(hollow.explained, 4),
         "gain_in_standard_errors": round(hollow.gain, 2),

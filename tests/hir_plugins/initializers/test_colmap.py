@@ -183,6 +183,7 @@ def test_cameras_solved_anew_keep_the_way_to_the_files_world(posed: Capture, tmp
         np.linalg.norm(old.project(there)[0] - new.project(found.points.positions)[0], axis=1)
         for old, new in zip(given, found.cameras, strict=True)
     ]
+    # what is left, 1.6 of 320 pixels, is the perspective of a focal length that is 10 % wrong
     assert np.median(np.concatenate(pixels)) < 0.01 * given[0].width
 
 

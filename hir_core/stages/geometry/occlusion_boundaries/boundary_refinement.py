@@ -44,7 +44,8 @@ LEARNING_RATE = 3e-3
 """Step size as a fraction of the object's radius: boundaries are a few pixels off."""
 
 SILHOUETTE_WEIGHT = 4.0
-"""Of the outlines beside the boundaries inside them. Both are shares of the mask's area."""
+"""Of the outlines beside the boundaries inside them; both are shares of the mask's area. With equal weights reflections
+of polished gold moved outlines off the masks, too (docs/studies/outlines.md)."""
 
 STEPS_PER_COLORS = 36
 """Vertices are coloured anew after so many steps; a multiple of `STEPS_PER_RAY_STRUCTURE`, so that a run that continues

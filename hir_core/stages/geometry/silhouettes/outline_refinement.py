@@ -28,6 +28,14 @@ LEAST_GAIN = 0.005
 
 
 @dataclass(frozen=True)
+class OutlinesSkipped:
+    """The outlines were left as they are, and why."""
+
+    reason: str
+    accepted: bool = False
+
+
+@dataclass(frozen=True)
 class OutlinesReport:
     """One refinement of the outlines, against the mesh that it started from."""
 
@@ -43,15 +51,17 @@ class OutlinesReport:
     """Steps without a finite gradient, by the term that caused it."""
 
 
-def refine_outlines(mesh: Mesh, fit: SilhouetteFit, number: int) -> tuple[Mesh, OutlinesReport | None]:
+def refine_outlines(mesh: Mesh, fit: SilhouetteFit, number: int) -> tuple[Mesh, OutlinesReport | OutlinesSkipped]:
     """The mesh with its outlines moved towards the masks as far as judging views confirm it, and the report; the mesh
-    as it is and None where the settings leave it out or no view judges.
+    as it is and the reason where the settings leave it out or no view judges.
 
     `number` counts the refinements of a stage.
     """
     steps = fit.settings.outline_iterations
-    if steps == 0 or not fit.judges:
-        return mesh, None
+    if steps == 0:
+        return mesh, OutlinesSkipped("left out by the settings")
+    if not fit.judges:
+        return mesh, OutlinesSkipped("too few views that could be held out")
     plan = SilhouettePass(
         name=f"outlines_{number}",
         number=number,

@@ -85,6 +85,7 @@ class SilhouettePass:
     name: str
     """Of its checkpoint."""
     number: int
+    """It changes the random batches of views."""
     train: Sequence[int]
     held_out: Sequence[int]
     """Views that choose the state, if they are enough."""
@@ -99,7 +100,7 @@ class SilhouettePass:
     """LargeSteps' λ; None moves the vertices themselves."""
     regularizers: Mapping[str, dict[str, Any] | Literal[False]]
     trust_errors_from: int
-    """Views whose masks contradict the others lose weight after this step."""
+    """Views whose masks contradict the others lose weight from this step on."""
 
 
 def pass_of_level(fit: SilhouetteFit, level: int, levels: int) -> SilhouettePass:
