@@ -33,8 +33,9 @@ from hir_core.metrics.surface_metrics import compare_surfaces
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
-from hir_core.stages.geometry import geometry_fit, photo_refinement
-from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport
+from hir_core.stages.geometry import geometry_fit
+from hir_core.stages.geometry.photo_consistency import photo_refinement
+from hir_core.stages.geometry.photo_consistency.photo_consistency_report import PhotoConsistencyReport
 from hir_plugins.commands.bench.inputs.bench_captures import decode_images, true_mesh
 
 STAGE = "hir_core.stages.geometry"
@@ -68,7 +69,7 @@ def computed_once() -> Iterator[None]:
             f"{STAGE}.geometry_fit._fit_silhouettes",
             kept(geometry_fit._fit_silhouettes, lambda mesh, *rest: _key(mesh)),
         ),
-        patch(f"{STAGE}.photo_refinement.fit_pass", kept(photo_refinement.fit_pass, _key_of_pass)),
+        patch(f"{STAGE}.photo_consistency.photo_refinement.fit_pass", kept(photo_refinement.fit_pass, _key_of_pass)),
     ):
         yield
 
@@ -103,7 +104,7 @@ def measured(path: Path, seed: int, plugins: PluginManager) -> Iterator[dict[str
     settings = load_config(plugins).geometry
     with computed_once():
         for value in VALUES:
-            with tempfile.TemporaryDirectory() as folder, patch(f"{STAGE}.photo_refinement.LEAST_FINE_GAIN", value):
+            with tempfile.TemporaryDirectory() as folder, patch(f"{STAGE}.photo_consistency.photo_refinement.LEAST_FINE_GAIN", value):
                 (Path(folder) / "checkpoints").mkdir()
                 context = StageContext(plugins, Path(folder), seed=seed)
                 fitted, report = geometry_fit.fit_geometry(scene, capture, settings, context)

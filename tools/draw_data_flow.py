@@ -42,7 +42,7 @@ STEPS = (
     ),
     Step("geometry", "fit silhouettes to masks", "hir_core/stages/geometry/silhouettes/silhouette_fit.py"),
     Step("", "area of a silhouette, and its gradient", "hir_plugins/geometry_renderers/contour.py", plugin=True),
-    Step("", "photo-consistency of the surface", "hir_core/stages/geometry/photo_refinement.py"),
+    Step("", "photo-consistency of the surface", "hir_core/stages/geometry/photo_consistency/photo_refinement.py"),
     Step(
         "",
         "occlusion boundaries",

@@ -13,8 +13,8 @@ from hir_core.optimization.schedules import Schedule
 from hir_core.plugins.progress import Progress
 from hir_core.scene import Mesh, Topology
 from hir_core.scene.frames import unit_similarity
-from hir_core.stages.geometry.detail_images import detail_image
-from hir_core.stages.geometry.photo_evaluation import confirmed_share
+from hir_core.stages.geometry.confirmed_movement import confirmed_share
+from hir_core.stages.geometry.photo_consistency.detail_images import detail_image
 from hir_core.stages.reflectance.selection.held_out_comparison import decibels, paired_gain
 from hir_plugins.regularizers.total_variation import environment_variation
 from tests.stability.case import Case
@@ -50,7 +50,7 @@ def _comparisons() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.stages.geometry.photo_evaluation.confirmed_share",
+            "hir_core.stages.geometry.confirmed_movement.confirmed_share",
             "views that could compare nothing",
             "no gain, no noise",
             lambda: _share(np.array([np.nan, 0.2]), np.array([0.1, np.nan])),
@@ -60,7 +60,7 @@ def _comparisons() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.stages.geometry.photo_evaluation.confirmed_share",
+            "hir_core.stages.geometry.confirmed_movement.confirmed_share",
             "views without any error before",
             "no gain, no noise",
             lambda: _share(np.zeros(3), np.zeros(3)),
@@ -112,7 +112,7 @@ def _pictures() -> list[Case]:
     cases = [
         Case(
             "geometry",
-            "hir_core.stages.geometry.detail_images.detail_image",
+            "hir_core.stages.geometry.photo_consistency.detail_images.detail_image",
             f"a photograph {name}",
             "0 values that are not finite",
             lambda v=view: float((~torch.isfinite(detail_image(v, 1)[0])).sum()),

@@ -20,7 +20,7 @@ from hir_core.mesh.remeshing import surface_area
 from hir_core.metrics.light_metrics import angular_error_deg, scale_invariant_error
 from hir_core.metrics.surface_metrics import angles_deg, f_score
 from hir_core.scene import Mesh, Topology
-from hir_core.stages.geometry.photo_evaluation import confirmed_share, interpolated
+from hir_core.stages.geometry.confirmed_movement import confirmed_share, interpolated
 from hir_plugins.reflectance_renderers import brdf_torch
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights, smoothness_energy
@@ -370,7 +370,7 @@ def _decisions() -> list[Case]:
     return [
         Case(
             "geometry",
-            "hir_core.stages.geometry.photo_evaluation.interpolated",
+            "hir_core.stages.geometry.confirmed_movement.interpolated",
             "a vertex that goes all the way from 1e17 to 1",
             "1",
             lambda: interpolated(Mesh(far, topology), Mesh(near, topology), 1.0).positions[0, 0],
@@ -380,7 +380,7 @@ def _decisions() -> list[Case]:
         ),
         Case(
             "geometry",
-            "hir_core.stages.geometry.photo_evaluation.confirmed_share",
+            "hir_core.stages.geometry.confirmed_movement.confirmed_share",
             "meshes that explain six views equally well",
             "no movement",
             lambda: confirmed_share([0, 0.5, 1], np.full((3, 6), 0.04), 0.005).share,

@@ -43,8 +43,11 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesReport,
     OcclusionBoundariesSkipped,
 )
-from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
-from hir_core.stages.geometry.photo_refinement import refine_by_photo_consistency
+from hir_core.stages.geometry.photo_consistency.photo_consistency_report import (
+    PhotoConsistencyReport,
+    PhotoConsistencySkipped,
+)
+from hir_core.stages.geometry.photo_consistency.photo_refinement import refine_by_photo_consistency
 from hir_core.stages.geometry.silhouettes.floating_components import remove_floating_components
 from hir_core.stages.geometry.silhouettes.level_plan import level_count, triangles_of_level
 from hir_core.stages.geometry.silhouettes.outline_refinement import refine_outlines

@@ -9,7 +9,10 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesReport,
     OcclusionBoundariesSkipped,
 )
-from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
+from hir_core.stages.geometry.photo_consistency.photo_consistency_report import (
+    PhotoConsistencyReport,
+    PhotoConsistencySkipped,
+)
 from hir_core.stages.geometry.silhouettes.outline_refinement import OutlinesReport, OutlinesSkipped
 
 

@@ -26,7 +26,7 @@ from hir_core.optimization.optimization_report import Terms
 from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
-from hir_core.stages.geometry.detail_images import LEAST_CONTRAST_SRGB, finest_downsample
+from hir_core.stages.geometry.confirmed_movement import HeldOutEvaluation, HeldOutIou, confirmed_movement, interpolated
 from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesReport,
     OcclusionBoundariesSkipped,
@@ -34,10 +34,13 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
 from hir_core.stages.geometry.occlusion_boundaries.boundary_samples import BoundarySamples, EdgeFaces, find_boundaries
 from hir_core.stages.geometry.occlusion_boundaries.predicted_colors import VertexColors
 from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewPhotographs
-from hir_core.stages.geometry.photo_consistency import neighbouring_views, ray_structure
-from hir_core.stages.geometry.photo_consistency_report import HeldOutIou
-from hir_core.stages.geometry.photo_evaluation import HeldOutEvaluation, confirmed_movement, interpolated
-from hir_core.stages.geometry.photo_pass import FINAL_LEARNING_RATE, FINE_SMOOTHNESS, STEPS_PER_RAY_STRUCTURE
+from hir_core.stages.geometry.photo_consistency.detail_images import LEAST_CONTRAST_SRGB, finest_downsample
+from hir_core.stages.geometry.photo_consistency.photo_pass import (
+    FINAL_LEARNING_RATE,
+    FINE_SMOOTHNESS,
+    STEPS_PER_RAY_STRUCTURE,
+)
+from hir_core.stages.geometry.photo_consistency.photo_residuals import neighbouring_views, ray_structure
 from hir_core.stages.held_out_views import judging_views
 
 LEARNING_RATE = 3e-3

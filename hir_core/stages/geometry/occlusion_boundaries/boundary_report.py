@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hir_core.stages.geometry.photo_consistency_report import ConfirmedShare, HeldOutIou
+from hir_core.stages.geometry.confirmed_movement import ConfirmedShare, HeldOutIou
 
 
 @dataclass(frozen=True)

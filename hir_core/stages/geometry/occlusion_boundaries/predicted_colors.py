@@ -20,7 +20,7 @@ from hir_core.stages.geometry.occlusion_boundaries.depth_jumps import (
     depth_map,
 )
 from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewPhotographs
-from hir_core.stages.geometry.photo_consistency import LEAST_COSINE
+from hir_core.stages.geometry.photo_consistency.photo_residuals import LEAST_COSINE
 
 ANGLE_DEG = 20.0
 """A photograph whose direction is this far from the predicted view's, when the nearest one has the same direction,

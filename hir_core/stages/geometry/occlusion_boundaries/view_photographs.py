@@ -13,7 +13,7 @@ from torch import Tensor
 
 from hir_core.capture import Camera, View
 from hir_core.scene.srgb import linear_to_srgb
-from hir_core.stages.geometry.detail_images import LEAST_COVERAGE
+from hir_core.stages.geometry.photo_consistency.detail_images import LEAST_COVERAGE
 
 
 @dataclass(frozen=True, eq=False)

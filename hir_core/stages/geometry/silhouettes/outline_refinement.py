@@ -10,8 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from hir_core.scene import Mesh
-from hir_core.stages.geometry.photo_consistency_report import ConfirmedShare, HeldOutIou
-from hir_core.stages.geometry.photo_evaluation import HeldOutEvaluation, confirmed_movement, interpolated
+from hir_core.stages.geometry.confirmed_movement import (
+    ConfirmedShare,
+    HeldOutEvaluation,
+    HeldOutIou,
+    confirmed_movement,
+    interpolated,
+)
 from hir_core.stages.geometry.silhouettes.silhouette_fit import SilhouetteFit, SilhouettePass, fit_mesh
 
 LEARNING_RATE, LEARNING_RATE_END = 5e-3, 0.05

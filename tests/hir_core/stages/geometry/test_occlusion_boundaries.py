@@ -23,7 +23,7 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_samples import EdgeF
 from hir_core.stages.geometry.occlusion_boundaries.depth_jumps import beside_jumps
 from hir_core.stages.geometry.occlusion_boundaries.predicted_colors import VertexColors
 from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewPhotographs
-from hir_core.stages.geometry.photo_consistency import neighbouring_views, ray_structure
+from hir_core.stages.geometry.photo_consistency.photo_residuals import neighbouring_views, ray_structure
 from hir_core.stages.held_out_views import held_out_for_geometry
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.geometry_renderers.options import ContourOptions

@@ -15,18 +15,22 @@ from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
-from hir_core.stages.geometry.detail_images import WINDOW_PIXELS, DetailImages, box_blur
+from hir_core.stages.geometry.confirmed_movement import confirmed_share, interpolated
 from hir_core.stages.geometry.geometry_fit import fit_geometry
-from hir_core.stages.geometry.photo_consistency import (
+from hir_core.stages.geometry.photo_consistency.detail_images import WINDOW_PIXELS, DetailImages, box_blur
+from hir_core.stages.geometry.photo_consistency.photo_consistency_report import (
+    PhotoConsistencyReport,
+    PhotoConsistencySkipped,
+)
+from hir_core.stages.geometry.photo_consistency.photo_error import mean_known
+from hir_core.stages.geometry.photo_consistency.photo_pass import plan_passes
+from hir_core.stages.geometry.photo_consistency.photo_residuals import (
     PixelPairs,
     neighbouring_views,
     photo_consistency_residuals,
     ray_structure,
     sample_pairs,
 )
-from hir_core.stages.geometry.photo_consistency_report import PhotoConsistencyReport, PhotoConsistencySkipped
-from hir_core.stages.geometry.photo_evaluation import confirmed_share, interpolated, mean_known
-from hir_core.stages.geometry.photo_pass import plan_passes
 from hir_core.stages.held_out_views import held_out_for_geometry, judging_views
 from hir_plugins.geometry_renderers import plugin as renderers
 from hir_plugins.regularizers import plugin as regularizers

@@ -10,14 +10,15 @@ import pytest
 
 from benchmarks import fine_gain
 from benchmarks.fine_gain import NEVER, VALUES, computed_once, table
-from hir_core.stages.geometry import geometry_fit, photo_evaluation, photo_refinement
-from hir_core.stages.geometry.photo_pass import plan_passes
+from hir_core.stages.geometry import confirmed_movement, geometry_fit
+from hir_core.stages.geometry.photo_consistency import photo_refinement
+from hir_core.stages.geometry.photo_consistency.photo_pass import plan_passes
 from tests.fixtures.scenes import icosphere
 
 
 def test_today_is_the_first_value_and_the_last_refuses_every_gain() -> None:
     assert VALUES[0] == photo_refinement.LEAST_FINE_GAIN and VALUES[-1] == NEVER
-    found = photo_evaluation.confirmed_share((0.0, 1.0), fine_gain.np.array([[1.0] * 6, [0.01] * 6]), NEVER)
+    found = confirmed_movement.confirmed_share((0.0, 1.0), fine_gain.np.array([[1.0] * 6, [0.01] * 6]), NEVER)
     assert found.gain > 0.9 and found.share < 1e-9
 
 

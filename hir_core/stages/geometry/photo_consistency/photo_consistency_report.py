@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from hir_core.stages.geometry.confirmed_movement import ConfirmedShare, HeldOutIou
+
 
 @dataclass(frozen=True)
 class PhotoConsistencySkipped:
@@ -27,37 +29,11 @@ class PassReport:
 
 
 @dataclass(frozen=True)
-class ConfirmedShare:
-    """The share of a movement of the vertices that held-out views confirm."""
-
-    share: float
-    """0…1."""
-    gain: float
-    """Mean relative fall of the error over the views at the length of lowest error, or at 1 where that is 0."""
-    noise: float
-    """Standard error of the gain."""
-    near_tie: bool
-    """Student's 95 % interval of the gain contains 0, or the share is between 0.1 and 0.9."""
-
-    def rounded(self) -> ConfirmedShare:
-        """For the report."""
-        return ConfirmedShare(round(self.share, 4), round(self.gain, 5), round(self.noise, 5), self.near_tie)
-
-
-@dataclass(frozen=True)
 class ErrorChange:
     """Mean photo-consistency error of the held-out views; None where nothing could be compared."""
 
     before: float | None
     after: float | None
-
-
-@dataclass(frozen=True)
-class HeldOutIou:
-    """Mean IoU of the held-out views."""
-
-    before: float
-    after: float
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
-"""Evaluates meshes on held-out views: photo-consistency error, IoU, and how much of a movement these views confirm."""
+"""How much of a movement of the vertices is confirmed by views that took no part in it.
+
+Each refinement of the mesh (outlines, photo-consistency, occlusion boundaries) moves the vertices on a part of the
+views. The others evaluate meshes along the way and decide how far it goes.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +15,37 @@ import torch
 from jaxtyping import Float
 from numpy.typing import NDArray
 from scipy.special import stdtrit
-from torch import Tensor
-from torch.nn.functional import huber_loss
 
 from hir_core.scene import Mesh
-from hir_core.stages.geometry.detail_images import DetailImages
-from hir_core.stages.geometry.photo_consistency import photo_consistency_residuals, sample_pairs
-from hir_core.stages.geometry.photo_consistency_report import ConfirmedShare
-
-HUBER_DELTA_CONTRAST = 0.5
-"""In units of local contrast: a larger difference is an outlier, such as an occluder or a highlight."""
-
-EVALUATED_PIXELS_PER_VIEW = 2000
 
 IOU_LOSS_MAX = 0.002
 """Of the held-out views' silhouettes; the vertices go only as far as that."""
+
+
+@dataclass(frozen=True)
+class ConfirmedShare:
+    """The share of a movement of the vertices that held-out views confirm."""
+
+    share: float
+    """0…1."""
+    gain: float
+    """Mean relative fall of the error over the views at the length of lowest error, or at 1 where that is 0."""
+    noise: float
+    """Standard error of the gain."""
+    near_tie: bool
+    """Student's 95 % interval of the gain contains 0, or the share is between 0.1 and 0.9."""
+
+    def rounded(self) -> ConfirmedShare:
+        """For the report."""
+        return ConfirmedShare(round(self.share, 4), round(self.gain, 5), round(self.noise, 5), self.near_tie)
+
+
+@dataclass(frozen=True)
+class HeldOutIou:
+    """Mean IoU of the held-out views."""
+
+    before: float
+    after: float
 
 
 @dataclass(frozen=True)
@@ -36,35 +56,6 @@ class HeldOutEvaluation:
     """Error of each judging view; NaN where nothing could be compared."""
     iou: float
     """Mean over the held-out views."""
-
-
-def huber(residuals: Float[Tensor, "Q 3"]) -> Float[Tensor, "Q 3"]:
-    """The robust error of each residual."""
-    return huber_loss(residuals, torch.zeros_like(residuals), delta=HUBER_DELTA_CONTRAST, reduction="none")
-
-
-def evaluate_held_out(
-    mesh: Mesh,
-    details: DetailImages,
-    neighbours: Sequence[Sequence[int]],
-    judges: Sequence[int],
-    held_out: Sequence[int],
-    iou: Callable[[Mesh, list[int]], Float[Tensor, " B"]],
-    seed: int,
-) -> HeldOutEvaluation:
-    """The photo-consistency error of `judges` and the IoU of `held_out`.
-
-    Compares the same random pixels whatever the mesh; pairs that the mesh hides from a view are left out.
-    """
-    errors = []
-    with torch.no_grad():
-        for view in judges:
-            generator = np.random.default_rng((seed, view))
-            pairs = sample_pairs(details, neighbours, [view], EVALUATED_PIXELS_PER_VIEW, generator)
-            residuals, _ = photo_consistency_residuals(mesh, details, pairs)
-            errors.append(float(huber(residuals).mean()) if len(residuals) else np.nan)
-        mean_iou = float(iou(mesh, list(held_out)).mean())
-    return HeldOutEvaluation(np.array(errors), mean_iou)
 
 
 def interpolated(start: Mesh, end: Mesh, share: float) -> Mesh:
@@ -127,9 +118,3 @@ def _parabola(lengths: NDArray[np.float64], change: NDArray[np.float64]) -> tupl
     if curvature < 0:
         return float(lengths @ change / (lengths @ lengths)), 0.0
     return float(slope), float(curvature)
-
-
-def mean_known(errors: NDArray[np.float64]) -> float | None:
-    """Mean over the views in which something could be compared, in five decimals; None where there are none."""
-    known = errors[np.isfinite(errors)]
-    return round(float(known.mean()), 5) if len(known) else None

@@ -19,7 +19,7 @@ from torch.nn.functional import normalize
 from hir_core.capture import Camera
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.scene import Mesh
-from hir_core.stages.geometry.detail_images import DetailImages
+from hir_core.stages.geometry.photo_consistency.detail_images import DetailImages
 
 NEIGHBOURS_PER_VIEW = 8
 

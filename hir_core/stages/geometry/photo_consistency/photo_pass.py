@@ -20,9 +20,13 @@ from hir_core.optimization.optimization_report import Terms
 from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
-from hir_core.stages.geometry.detail_images import DetailImages
-from hir_core.stages.geometry.photo_consistency import photo_consistency_residuals, ray_structure, sample_pairs
-from hir_core.stages.geometry.photo_evaluation import huber
+from hir_core.stages.geometry.photo_consistency.detail_images import DetailImages
+from hir_core.stages.geometry.photo_consistency.photo_error import huber
+from hir_core.stages.geometry.photo_consistency.photo_residuals import (
+    photo_consistency_residuals,
+    ray_structure,
+    sample_pairs,
+)
 
 PIXELS_PER_VIEW = 4000
 """Of a step."""

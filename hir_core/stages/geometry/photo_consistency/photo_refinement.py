@@ -22,23 +22,23 @@ from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
-from hir_core.stages.geometry.detail_images import DetailImages, finest_downsample
-from hir_core.stages.geometry.photo_consistency import neighbouring_views
-from hir_core.stages.geometry.photo_consistency_report import (
+from hir_core.stages.geometry.confirmed_movement import HeldOutEvaluation, HeldOutIou, confirmed_movement, interpolated
+from hir_core.stages.geometry.photo_consistency.detail_images import DetailImages, finest_downsample
+from hir_core.stages.geometry.photo_consistency.photo_consistency_report import (
     ErrorChange,
-    HeldOutIou,
     PassReport,
     PhotoConsistencyReport,
     PhotoConsistencySkipped,
 )
-from hir_core.stages.geometry.photo_evaluation import (
-    HeldOutEvaluation,
-    confirmed_movement,
-    evaluate_held_out,
-    interpolated,
-    mean_known,
+from hir_core.stages.geometry.photo_consistency.photo_error import evaluate_held_out, mean_known
+from hir_core.stages.geometry.photo_consistency.photo_pass import (
+    FINE_SMOOTHNESS,
+    SMOOTHNESS,
+    Pass,
+    fit_pass,
+    plan_passes,
 )
-from hir_core.stages.geometry.photo_pass import FINE_SMOOTHNESS, SMOOTHNESS, Pass, fit_pass, plan_passes
+from hir_core.stages.geometry.photo_consistency.photo_residuals import neighbouring_views
 from hir_core.stages.held_out_views import judging_views
 
 COARSEST_FACTOR = 4
