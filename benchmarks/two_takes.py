@@ -65,10 +65,11 @@ TEXTURES = {"coarse": (), "fine": (8.0,), "speckled": (8.0, 20.0)}
 RELIGHTS = "relight_0", "relight_1"
 ESTIMATED = (
     "--set",
-    'initializers=["colmap", "visual_hull"]',
+    'initializers=["colmap", "visual_hull", "hollows", "stereo"]',
     "--set",
     "initializer.colmap.known_cameras=solve",
 )
+"""The initializers of photographs that have masks and no cameras; the capture has cameras, which are not used."""
 NEAR = 0.02
 """Distance, in radii of the truth, within which a point of the true surface counts as reconstructed."""
 Image = NDArray[np.float32]
