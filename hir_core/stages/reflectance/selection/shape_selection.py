@@ -19,9 +19,6 @@ from hir_core.stages.reflectance.selection.folded_fits import FoldedFit
 from hir_core.stages.reflectance.selection.held_out_comparison import is_significant, paired_gain
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, Contestant, SuccessiveHalving
 
-REQUIRED_STANDARD_ERRORS_OF_SHAPE = 2.0
-"""What the other shape must gain: the photographs confirmed the refined one before."""
-
 OtherShape: TypeAlias = Callable[[], ReflectanceSolver[FitT, RefinementT]]
 """Prepares the same scene with the vertices of another shape; the triangles are the same, so fits can continue."""
 
@@ -60,7 +57,7 @@ def compare_shapes(
         if gain <= 0:
             break
     assert fit is not None
-    accepted = is_significant(gain, standard_error, len(fit.errors), REQUIRED_STANDARD_ERRORS_OF_SHAPE)
+    accepted = is_significant(gain, standard_error, len(fit.errors))
     if not accepted:
         fits.solver = refined
     return ShapeComparison(fit, tuple(curve), gain, standard_error, accepted)
