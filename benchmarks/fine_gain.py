@@ -104,7 +104,10 @@ def measured(path: Path, seed: int, plugins: PluginManager) -> Iterator[dict[str
     settings = load_config(plugins).geometry
     with computed_once():
         for value in VALUES:
-            with tempfile.TemporaryDirectory() as folder, patch(f"{STAGE}.photo_consistency.photo_refinement.LEAST_FINE_GAIN", value):
+            with (
+                tempfile.TemporaryDirectory() as folder,
+                patch(f"{STAGE}.photo_consistency.photo_refinement.LEAST_FINE_GAIN", value),
+            ):
                 (Path(folder) / "checkpoints").mkdir()
                 context = StageContext(plugins, Path(folder), seed=seed)
                 fitted, report = geometry_fit.fit_geometry(scene, capture, settings, context)

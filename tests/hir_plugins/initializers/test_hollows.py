@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 
 from hir_core.capture import Array, Capture
 from hir_core.errors import ConfigError, StageError
@@ -19,8 +20,10 @@ from hir_plugins.initializers.hollows import outline_search, search
 from hir_plugins.initializers.hollows.hollows import Hollows
 from hir_plugins.initializers.hollows.openings import Opening, find_openings, surface_cells
 from hir_plugins.initializers.hollows.photo_prediction import (
+    BlurredPhotograph,
     blurred_photographs,
     color_variance,
+    equally_exposed,
     prediction_errors,
 )
 from hir_plugins.initializers.hollows.reflection import reflection_errors
@@ -246,6 +249,26 @@ def test_the_true_surface_predicts_photographs_and_a_lid_does_not() -> None:
     assert np.isnan(prediction_errors(pixels, true, alone, 0.02)[above]).all()
     # nobody looks from more than half a turn away
     assert np.isnan(prediction_errors(pixels, true, photographs, 0.02, 180.0)[above]).all()
+
+
+def test_photographs_are_compared_with_equal_exposures() -> None:
+    """Of a painted block, with factors of up to a stop."""
+    capture = photographed(block(), painted)
+    equal = blurred_photographs(capture, 0.02)
+    points = np.asarray(trimesh.sample.sample_surface(block(), 1000, seed=0)[0])
+    surface = MeshQueries(np.asarray(block().vertices), np.asarray(block().faces))
+    assert equally_exposed(equal, points, surface, 0.02) == equal, "nothing is changed where all are equal"
+    factors = np.exp2(np.random.default_rng(1).uniform(-1, 0, len(equal)))
+    changed = [
+        replace(each, colors=linear_to_srgb(srgb_to_linear(each.colors) * factor).astype(np.float32))
+        for each, factor in zip(equal, factors, strict=True)
+    ]
+
+    def variance(photographs: list[BlurredPhotograph]) -> float:
+        return float(color_variance(points, surface, photographs, 0.02)[0].mean())
+
+    assert variance(changed) > 2 * variance(equal)  # 2.4
+    assert variance(equally_exposed(changed, points, surface, 0.02)) < 1.2 * variance(equal)
 
 
 def test_variance_is_pooled_within_takes() -> None:

@@ -27,6 +27,7 @@ from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
 from hir_core.stages.geometry.confirmed_movement import HeldOutEvaluation, HeldOutIou, confirmed_movement, interpolated
+from hir_core.stages.geometry.occlusion_boundaries.boundary_exposures import equally_exposed
 from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesReport,
     OcclusionBoundariesSkipped,
@@ -94,6 +95,7 @@ def refine_occlusion_boundaries(
         return mesh, OcclusionBoundariesSkipped("too few views that overlap and could be held out")
     downsample = finest_downsample(capture.views, settings.downsample)
     photographs = ViewPhotographs.of(capture.views, downsample, mesh.positions.device)
+    photographs = equally_exposed(photographs, mesh, ray_structure(mesh), takes)
     fit = _BoundaryFit(mesh, photographs, train, neighbours, iou)
     if not fit.has_boundaries(mesh):
         return mesh, OcclusionBoundariesSkipped("no part of the object hides another in any view")

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float16
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -36,6 +36,9 @@ FILLED_RINGS = 6
 """Unseen vertices take the mean colour of their seen neighbours, so often. The pixels beside a boundary are not used as
 colours; these rings bridge them."""
 
+MAX_KEPT_VALUES = 1 << 25
+"""Predictions that are kept for later steps, one for each vertex and view: 7 bytes each."""
+
 SMOOTHED_RINGS = 3
 """Of the variance, which few photographs measure at each vertex."""
 
@@ -53,6 +56,8 @@ class VertexColors:
     ) -> None:
         """`neighbours` has, for each view, those that it may be predicted from; others than `views` are ignored."""
         self._edges = mesh.topology.edges
+        a, b = self._edges.unbind(1)
+        self._directed = torch.cat([a, b]), torch.cat([b, a])
         self._column = {view: i for i, view in enumerate(views)}
         self._neighbours = neighbours
         count, device = len(mesh.positions), mesh.positions.device
@@ -60,17 +65,25 @@ class VertexColors:
         self._weights = torch.zeros(count, len(views), dtype=torch.float16, device=device)
         normals = mesh.normals.detach()
         for view, column in self._column.items():
-            colors, weights = _observed(mesh.positions.detach(), normals, photographs, view, tracer)
+            colors, weights = observed_colors(mesh.positions.detach(), normals, photographs, view, tracer)
             self._colors[:, column], self._weights[:, column] = colors.half(), weights.half()
         directions = normalize(photographs.centers, dim=1)
         angle = torch.rad2deg(torch.arccos((directions @ directions.T).clamp(-1, 1)))
         self._angle = angle.float()
+        self._predictions: dict[int, tuple[Tensor, Tensor]] = {}
 
     def predicted(self, views: Sequence[int]) -> tuple[Float[Tensor, "V B 3"], Bool[Tensor, "V B"]]:
         """The colours that each view is expected to show, of photographs of other views, and where they are known."""
-        parts = [self._from_neighbours(view) for view in views]
-        colors, known = (torch.stack([part[k] for part in parts], dim=1) for k in (0, 1))
-        return self._filled(colors, known, FILLED_RINGS)
+        parts = [self._prediction(view) for view in views]
+        return torch.stack([part[0] for part in parts], dim=1).float(), torch.stack([part[1] for part in parts], dim=1)
+
+    def _prediction(self, view: int) -> tuple[Float16[Tensor, "V 3"], Bool[Tensor, " V"]]:
+        if view not in self._predictions:
+            colors, known = self._filled(*self._from_neighbours(view), FILLED_RINGS)
+            if len(self._predictions) >= MAX_KEPT_VALUES // max(1, len(colors)):
+                return colors.half(), known
+            self._predictions[view] = colors.half(), known
+        return self._predictions[view]
 
     def variance(self) -> Float[Tensor, " V"]:
         """Mean squared error of the predictions (sum over the channels) at each vertex and around it, over the views
@@ -83,9 +96,8 @@ class VertexColors:
             seen = known & (self._weights[:, column] > 0)
             total += torch.where(seen, (colors - self._colors[:, column].float()).square().sum(dim=1), 0.0)
             count += seen
-        found = (total / count.clamp_min(1))[:, None, None]
-        variance, known = self._filled(found, (count > 0)[:, None], FILLED_RINGS)
-        variance, known = variance[:, 0, 0], known[:, 0]
+        found, known = self._filled((total / count.clamp_min(1))[:, None], count > 0, FILLED_RINGS)
+        variance = found[:, 0]
         typical = variance[known].median() if bool(known.any()) else variance.new_zeros(())
         variance = torch.where(known, variance, typical)
         for _ in range(SMOOTHED_RINGS):
@@ -105,15 +117,24 @@ class VertexColors:
         return colors / total.clamp_min(1e-6)[:, None], total > LEAST_WEIGHT
 
     def _filled(
-        self, values: Float[Tensor, "V B C"], known: Bool[Tensor, "V B"], rings: int
-    ) -> tuple[Float[Tensor, "V B C"], Bool[Tensor, "V B"]]:
-        vertices, views, channels = values.shape
+        self, values: Float[Tensor, "V C"], known: Bool[Tensor, " V"], rings: int
+    ) -> tuple[Float[Tensor, "V C"], Bool[Tensor, " V"]]:
+        """Only edges from unknown vertices are looked at: fewer from ring to ring."""
+        values, known = values.clone(), known.clone()
+        to, source = self._directed
+        unknown = (~known)[to].nonzero()[:, 0]
+        to, source = to[unknown], source[unknown]
         for _ in range(rings):
-            weighted = torch.cat([values * known[..., None], known[..., None].to(values)], dim=2)
-            sums = self._sums(weighted.reshape(vertices, -1)).reshape(vertices, views, channels + 1)
-            new = ~known & (sums[..., -1] > 0)
-            values = torch.where(new[..., None], sums[..., :-1] / sums[..., -1:].clamp_min(1), values)
-            known = known | new
+            used = known[source].nonzero()[:, 0]
+            if len(used) == 0:
+                break
+            reached, place = torch.unique(to[used], return_inverse=True)
+            neighbours = torch.cat([values[source[used]], values.new_ones(len(used), 1)], dim=1)
+            sums = neighbours.new_zeros(len(reached), neighbours.shape[1]).index_add_(0, place, neighbours)
+            values[reached] = sums[:, :-1] / sums[:, -1:]
+            known[reached] = True
+            left = (~known)[to].nonzero()[:, 0]
+            to, source = to[left], source[left]
         return values, known
 
     def _sums(self, values: Float[Tensor, "V K"]) -> Float[Tensor, "V K"]:
@@ -122,7 +143,7 @@ class VertexColors:
         return torch.zeros_like(values).index_add(0, a, values[b]).index_add(0, b, values[a])
 
 
-def _observed(
+def observed_colors(
     positions: Float[Tensor, "V 3"],
     normals: Float[Tensor, "V 3"],
     photographs: ViewPhotographs,

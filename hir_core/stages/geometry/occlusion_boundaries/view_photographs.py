@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
+from numpy.typing import NDArray
 from torch import Tensor
 
 from hir_core.capture import Camera, View
-from hir_core.scene.srgb import linear_to_srgb
+from hir_core.scene.srgb import linear_to_srgb, srgb_to_linear
 from hir_core.stages.geometry.photo_consistency.detail_images import LEAST_COVERAGE
 
 
@@ -52,6 +53,16 @@ class ViewPhotographs:
         return cls(
             images, inside, outside, torch.tensor(areas, dtype=torch.float64, device=device).clamp_min(1.0), cameras
         )
+
+    def multiplied(self, factors: Float[NDArray[np.floating], "N 3"]) -> ViewPhotographs:
+        """The photographs with their linear values multiplied; above 1 they are clipped."""
+        levels = srgb_to_linear(torch.arange(256, device=self.images.device) / 255.0)
+        images = self.images.clone()
+        for image, row in zip(images, torch.from_numpy(factors).to(levels), strict=True):
+            table = (linear_to_srgb((levels * row[:, None]).clamp(0, 1)) * 255).round().to(torch.uint8)
+            for channel in range(3):
+                image[..., channel] = table[channel][image[..., channel].long()]
+        return replace(self, images=images)
 
     @cached_property
     def centers(self) -> Float[Tensor, "N 3"]:

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from hir_core.capture.relative_exposures import DARKEST
 from hir_core.scene.srgb import srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import PixelColors
-from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_exposures import DARKEST
 
 
 def own_exposures(pixels: PixelColors, radiance: Tensor, views: int) -> Float[Tensor, "views 3"]:

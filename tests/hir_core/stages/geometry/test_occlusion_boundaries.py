@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.capture import Camera, Capture, Pixels
+from hir_core.capture import Camera, Capture, Pixels, View
 from hir_core.config import GeometrySettings
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
@@ -131,6 +131,21 @@ def test_the_rim_of_a_cup_moves_to_where_photographs_show_it(cup_capture: Captur
     assert report.disagreement[1] < 0.8 * report.disagreement[0]
     assert abs(_inner_radius(mesh) - INNER) < 0.2 * (WRONG - INNER)  # 0.09
     assert torch.isfinite(mesh.positions).all()
+
+
+def test_exposures_that_differ_do_not_move_boundaries(cup_capture: Capture, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """Up to a stop darker or brighter; predictions by the other photographs would be wrong by as much."""
+    factors = np.exp2(np.random.default_rng(0).uniform(-1, 1, (len(cup_capture.views), 1, 1)))
+
+    def changed(view: View, factor: np.ndarray) -> View:
+        pixels = view.pixels()
+        return replace(view, read=_Photograph((pixels.color_linear * factor).clip(0, 1), pixels.mask))
+
+    views = tuple(changed(view, factor) for view, factor in zip(cup_capture.views, factors, strict=True))
+    positions, faces, _ = _cup(WRONG)
+    mesh, report = _refined(mesh_of(positions, faces), replace(cup_capture, views=views), tmp_path)
+    assert isinstance(report, OcclusionBoundariesReport) and report.accepted
+    assert abs(_inner_radius(mesh) - INNER) < 0.2 * (WRONG - INNER)
 
 
 def test_right_boundaries_stay(cup_capture: Capture, tmp_path) -> None:  # type: ignore[no-untyped-def]

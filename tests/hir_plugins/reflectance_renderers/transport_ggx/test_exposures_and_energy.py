@@ -10,12 +10,10 @@ import pytest
 import torch
 
 from hir_core.capture import Capture, Pixels, View
+from hir_core.capture.relative_exposures import without_reflections
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene
-from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_exposures import (
-    initial_exposures,
-    without_reflections,
-)
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_exposures import initial_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
