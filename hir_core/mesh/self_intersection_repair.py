@@ -25,7 +25,8 @@ def separate_sheets(positions: Positions, faces: Faces, allowed: int, rounds: in
     """Pushes intersecting triangles apart, by a tenth of an edge a round, until at most `allowed` intersect.
 
     This is for sheets that graze each other, where smoothing would only shrink a thin part. Returns the positions with
-    the fewest intersecting triangles of all rounds, which may be the initial ones.
+    the fewest intersecting triangles of all rounds, which may be the initial ones. After the first round only triangles
+    near the moved vertices are tested.
     """
     x = positions.astype(np.float64)
     ends = _directed_edges(faces)
@@ -36,8 +37,9 @@ def separate_sheets(positions: Positions, faces: Faces, allowed: int, rounds: in
             break
         corners = x[faces[hit]]
         edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
-        x = x + _PUSH_DISTANCE * edge * _separating_directions(x, faces[hit], ends)
-        hit = self_intersections(x, faces)
+        push = _PUSH_DISTANCE * edge * _separating_directions(x, faces[hit], ends)
+        x = x + push
+        hit = _intersections_after(x, faces, hit, push.any(axis=1))
         if len(hit) < fewest:
             best, fewest = x, len(hit)
     return best
@@ -65,13 +67,22 @@ def smooth_intersections(
             touched[ends[touched[ends[:, 0]], 1]] = True
         target = _neighbours_mean(x, ends, touched) if toward is None else toward
         x = np.where(touched[:, None], 0.5 * x + 0.5 * target, x)
-        patch = _faces_near(x, faces, touched)
-        # no vertex outside the patch moved, so the other triangles keep their state
-        outside = hit[~np.isin(hit, patch)]
-        hit = np.concatenate([outside, patch[self_intersections(x, faces[patch])]])
+        hit = _intersections_after(x, faces, hit, touched)
         if len(hit) < fewest:
             best, fewest = x, len(hit)
     return best
+
+
+def _intersections_after(
+    x: Positions, faces: Faces, hit: NDArray[np.int64], touched: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """The intersecting triangles after the vertices `touched` moved; `hit` are those before.
+
+    Only triangles near these vertices are tested: the others keep their state.
+    """
+    patch = _faces_near(x, faces, touched)
+    outside = hit[~np.isin(hit, patch)]
+    return np.concatenate([outside, patch[self_intersections(x, faces[patch])]])
 
 
 def _directed_edges(faces: Faces) -> NDArray[np.int64]:
