@@ -122,7 +122,8 @@ class ColmapOptions:
     """Which photographs share intrinsics. `auto`: those of one size, model and focal length. `single`: those of one
     size. `each`: none."""
     camera_model: Literal["PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = "SIMPLE_RADIAL"
-    """COLMAP's name of the lens model to estimate."""
+    """COLMAP's name of the lens model to estimate. The distortion of `SIMPLE_RADIAL` is left out where it does not
+    lower the reprojection error: it would be compensated by a wrong focal length."""
     focal_length: float = 0.0
     """In pixels of the photographs; 0 takes it from EXIF, or assumes 1.2 times the longer side."""
     refine_intrinsics: bool = True

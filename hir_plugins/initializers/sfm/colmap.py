@@ -19,6 +19,7 @@ from hir_core.plugins.interfaces import Initializer
 from hir_core.run.determinism import threads
 from hir_core.scene import Scene
 from hir_plugins.initializers.options import ColmapOptions
+from hir_plugins.initializers.sfm.lens_selection import simplest_lens
 from hir_plugins.initializers.sfm.metric_scale import MetricScale, read_marks, scale_of_bar, scale_of_gps
 from hir_plugins.initializers.sfm.sfm_images import SfmImage, write_images
 from hir_plugins.initializers.sfm.source_alignment import solved_from_source
@@ -67,6 +68,7 @@ class Colmap(Initializer):
                 f"{capture.path}: COLMAP could not register the photographs; take more of them, sharp, with texture, "
                 "and with large overlap: a few degrees between neighbours"
             )
+        model, lens = simplest_lens(model, self._config)
         solved = solved_capture(capture, images, model)
         if any(view.depth is not None for view in capture.views):
             warnings.warn(
@@ -91,6 +93,8 @@ class Colmap(Initializer):
             "cameras": f"{len(solved.views) - len(unregistered)} of {len(solved.views)} solved",
             "scale_from": scale.source,
         }
+        if lens is not None:
+            self._report["lens"] = lens.document()
         metres = scale.metres_per_unit
         return solved.transformed(np.diag([metres, metres, metres, 1.0]) @ object_from_solved), scene
 

@@ -26,7 +26,13 @@ from hir_core.optimization.optimization_report import Terms
 from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
-from hir_core.stages.geometry.confirmed_movement import HeldOutEvaluation, HeldOutIou, confirmed_movement, interpolated
+from hir_core.stages.geometry.confirmed_movement import (
+    HeldOutEvaluation,
+    HeldOutIou,
+    confirmed_movement,
+    confirmed_share,
+    interpolated,
+)
 from hir_core.stages.geometry.occlusion_boundaries.boundary_exposures import equally_exposed
 from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesReport,
@@ -54,6 +60,13 @@ of polished gold moved outlines off the masks, too (docs/studies/outlines.md).""
 STEPS_PER_COLORS = 36
 """Vertices are coloured anew after so many steps; a multiple of `STEPS_PER_RAY_STRUCTURE`, so that a run that continues
 from a checkpoint does the same."""
+
+EARLY_STEPS = 2 * STEPS_PER_COLORS
+"""After so many steps the judging views are asked whether to go on."""
+
+LEAST_EARLY_GAIN = 0.001
+"""Relative fall of their error by then, below which the boundaries are left as they are: where the whole fit gained
+more than half a per cent, most of it was there by then (docs/studies/occlusion_boundaries.md#steps-and-views)."""
 
 LINE = (0.0, 0.5, 1.0)
 """Shares of the way between the two meshes at which the judging views are evaluated."""
@@ -99,13 +112,19 @@ def refine_occlusion_boundaries(
     fit = _BoundaryFit(mesh, photographs, train, neighbours, iou)
     if not fit.has_boundaries(mesh):
         return mesh, OcclusionBoundariesSkipped("no part of the object hides another in any view")
-    fitted, curve = _fit(mesh, fit, settings, context, [view.name for view in capture.views])
 
     def evaluated(candidate: Mesh) -> HeldOutEvaluation:
         errors = _prediction_errors(candidate, photographs, judges, neighbours)
         with torch.no_grad():
             return HeldOutEvaluation(errors, float(iou(candidate, list(held_out)).mean()))
 
+    initial = evaluated(mesh).errors
+
+    def is_promising(candidate: Mesh) -> bool:
+        errors = np.stack([initial, evaluated(candidate).errors])
+        return confirmed_share((0.0, 1.0), errors, LEAST_GAIN).gain >= LEAST_EARLY_GAIN
+
+    fitted, curve = _fit(mesh, fit, settings, context, [view.name for view in capture.views], is_promising)
     movement, (before, after) = confirmed_movement(mesh, fitted, evaluated, LINE, LEAST_GAIN)
     part = max(1, len(curve) // 10)
     report = OcclusionBoundariesReport(
@@ -214,9 +233,16 @@ def _interpolated(
 
 
 def _fit(
-    mesh: Mesh, fit: _BoundaryFit, settings: GeometrySettings, context: StageContext, names: list[str]
+    mesh: Mesh,
+    fit: _BoundaryFit,
+    settings: GeometrySettings,
+    context: StageContext,
+    names: list[str],
+    is_promising: Callable[[Mesh], bool],
 ) -> tuple[Mesh, Float[np.ndarray, " steps"]]:
-    """The mesh after the optimisation, and the boundaries' error at each step."""
+    """The mesh after the optimisation, and the boundaries' error at each step. It ends after `EARLY_STEPS` where the
+    mesh is not promising then.
+    """
     large = LargeSteps(mesh.topology, len(mesh.positions), FINE_SMOOTHNESS)
     parameter = large.encode(mesh.positions.detach()).requires_grad_(True)
     batches = Batches(len(fit.train), max(1, settings.views_per_step // 2), context.seed)
@@ -239,6 +265,12 @@ def _fit(
             return nonfinite_views(current, views, names, lambda moved, view: 1 - fit.iou(moved, [view]))
         return nonfinite_views(current, views, names, lambda moved, view: fit.boundary_error(moved, [view]))
 
+    def ends(step: int) -> bool:
+        if step + 1 != EARLY_STEPS:
+            return False
+        with torch.no_grad():
+            return not is_promising(mesh.with_positions(large.decode(parameter).detach()))
+
     report = optimize(
         loss,
         UniformAdam([parameter], LEARNING_RATE),
@@ -249,6 +281,7 @@ def _fit(
             context.checkpoints / "occlusion_boundaries.npz", context.checkpoint_seconds, STEPS_PER_COLORS
         ),
         locate=locate,
+        after_step=ends,
     )
     warn_of_skipped_steps(report, context.warn)
     with torch.no_grad():
