@@ -26,9 +26,10 @@ CORRELATION_DEGREES = 45.0
 DEVIATION_RATIOS = (0.0, *np.geomspace(0.1, 30, 24))
 """Standard deviation of reflections over that of exposures, of which the most likely one is taken."""
 
-LEAST_DIFFERENCE = 0.07
-"""Standard deviation of logarithms over views below which photographs count as equal, a tenth of a stop: unchanged ones
-seem to differ by up to 0.04 stops (docs/studies/exposures.md)."""
+LEAST_DIFFERENCE = 0.2
+"""Standard deviation of logarithms over views, of the channel where it is largest, below which photographs count as
+equal: 0.3 stops. Unchanged ones seem to differ by up to 0.12 (docs/studies/exposures.md#before-the-material-is-known).
+"""
 
 Array = NDArray[np.float64]
 

@@ -47,7 +47,7 @@ from hir_core.stages.reflectance.reflectance_report import (
     shape_report,
     significant,
 )
-from hir_core.stages.reflectance.selection.exposure_selection import exposures_to_compare
+from hir_core.stages.reflectance.selection.exposure_selection import exposures_differ, exposures_to_compare
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence, fits_at_once
 from hir_core.stages.reflectance.selection.model_selection import select_model
 from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
@@ -172,7 +172,15 @@ def _fit_by_solver(
     fits = FitSequence(solver, progress.selecting, context.checkpoints, context.checkpoint_seconds, at_once)
     shape = other_solver if other_shape is not None else None
     selection = select_model(
-        fits, settings, len(views), progress, shape, exposures, fits_lamp, takes=capture.take_numbers
+        fits,
+        settings,
+        len(views),
+        progress,
+        shape,
+        exposures,
+        fits_lamp,
+        capture.take_numbers,
+        len(exposures) > 1 and exposures_differ(scene.mesh, capture, settings.downsample),
     )
     solver = fits.solver
     fit, spec = selection.fit, selection.spec

@@ -11,12 +11,12 @@ import numpy as np
 
 from hir_core.capture import Array, Capture
 from hir_core.errors import StageError
-from hir_core.mesh.ray_casting import MeshQueries
+from hir_core.intake.exposure_differences import exposure_corrections
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_core.scene.frames import move_scene
-from hir_plugins.initializers.hollows.photo_prediction import BlurredPhotograph, blurred_photographs, equally_exposed
-from hir_plugins.initializers.hollows.search import LIFT, Hollow, find_hollows
+from hir_plugins.initializers.hollows.photo_prediction import BlurredPhotograph, blurred_photographs
+from hir_plugins.initializers.hollows.search import Hollow, find_hollows
 from hir_plugins.initializers.hollows.sunk_volume import sunk
 from hir_plugins.initializers.options import HollowsOptions
 from hir_plugins.initializers.stereo.stereo_photographs import evenly_distributed_views
@@ -24,6 +24,7 @@ from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length, pixel_size
 from hir_plugins.initializers.surface.swept_surface import SweptSurface, signed_distance_volume
+from hir_plugins.initializers.surface.vertex_colors import vertex_normals
 from hir_plugins.initializers.surface.volume import Volume
 
 if TYPE_CHECKING:
@@ -34,9 +35,6 @@ SEARCH_VOXELS = 64
 
 BLUR_VOXELS = 1.0
 """Standard deviation of the blur of photographs, in voxels of the search: finer detail needs a more exact surface."""
-
-POINTS_OF_EXPOSURES = 2_000
-"""Of the surface, at which photographs are compared to make their exposures equal."""
 
 _MIN_COMPONENT = 0.02
 
@@ -82,9 +80,9 @@ class Hollows(Initializer):
         if scene.material is not None and scene.environment is not None:
             found = self._rendered_hollows(search, photographs, move_scene(scene, unit), capture.takes)
         else:
-            points = vertices[:: max(1, len(vertices) // POINTS_OF_EXPOSURES)]
-            queries = MeshQueries(vertices, faces)
-            photographs = equally_exposed(photographs, points, queries, LIFT * search.spacing)
+            factors = exposure_corrections(vertices, vertex_normals(vertices, faces), faces, moved)
+            if factors is not None and len(photographs) == len(factors):  # those without a mask are left out
+                photographs = [each.multiplied(row) for each, row in zip(photographs, factors, strict=True)]
             found = find_hollows(search, photographs, self._config.seed, self._config.max_hollows)
         self._report = {"hollows": [_described(hollow, search.spacing * extent) for hollow in found]}
         if not found:

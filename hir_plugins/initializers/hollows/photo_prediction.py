@@ -15,11 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from hir_core.capture import Array, Camera, Capture
-from hir_core.capture.relative_exposures import corrections_of_takes
 from hir_core.mesh.ray_casting import MeshQueries
 
-CLIPPED = 0.98
-"""sRGB value from which a blurred channel may be clipped and says nothing about the exposure."""
 LEAST_PHOTOGRAPHS = 2
 """Others that must see a point; fewer predict nothing."""
 
@@ -54,6 +51,11 @@ class BlurredPhotograph:
         index = index[~surface.occluded(points[index] + lift * toward, toward)]
         return index, self.colors[row[index], column[index]]
 
+    def multiplied(self, factors: Array) -> BlurredPhotograph:
+        """With another exposure: factors (3,) of the linear colours."""
+        linear = srgb_to_linear(self.colors.astype(np.float64)) * factors
+        return replace(self, colors=linear_to_srgb(linear).astype(np.float32))
+
     def pixels_of(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Column and row (N,) of each point, clipped to the picture, and whether the point lies in it."""
         pixels, depth = self.camera.project(points)
@@ -61,27 +63,6 @@ class BlurredPhotograph:
         width, height = self.camera.width, self.camera.height
         inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
         return np.clip(column, 0, width - 1), np.clip(row, 0, height - 1), inside
-
-
-def equally_exposed(
-    photographs: Sequence[BlurredPhotograph], points: Array, surface: MeshQueries, lift: float
-) -> list[BlurredPhotograph]:
-    """The photographs with one exposure and white balance for each take, from their colours at points (N, 3) of the
-    surface; as they are where these are equal.
-    """
-    color = np.zeros((len(photographs), len(points), 3))
-    known = np.zeros(color.shape, bool)
-    for i, photograph in enumerate(photographs):
-        index, seen = photograph.seen(points, surface, lift)
-        color[i, index], known[i, index] = srgb_to_linear(seen.astype(np.float64)), seen < CLIPPED
-    toward = np.stack([photograph.camera.center for photograph in photographs])
-    factors = corrections_of_takes(color, known, toward, [photograph.take for photograph in photographs])
-    if factors is None:
-        return list(photographs)
-    return [
-        replace(each, colors=linear_to_srgb(srgb_to_linear(each.colors.astype(np.float64)) * factor).astype(np.float32))
-        for each, factor in zip(photographs, factors, strict=True)
-    ]
 
 
 def blurred_photographs(capture: Capture, length: float) -> list[BlurredPhotograph]:

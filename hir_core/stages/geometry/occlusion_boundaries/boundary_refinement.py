@@ -18,6 +18,7 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
+from hir_core.intake.exposure_differences import exposure_corrections
 from hir_core.mesh.large_steps import LargeSteps, UniformAdam
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.optimization.nonfinite_diagnostics import nonfinite_views
@@ -33,7 +34,6 @@ from hir_core.stages.geometry.confirmed_movement import (
     confirmed_share,
     interpolated,
 )
-from hir_core.stages.geometry.occlusion_boundaries.boundary_exposures import equally_exposed
 from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesReport,
     OcclusionBoundariesSkipped,
@@ -108,7 +108,10 @@ def refine_occlusion_boundaries(
         return mesh, OcclusionBoundariesSkipped("too few views that overlap and could be held out")
     downsample = finest_downsample(capture.views, settings.downsample)
     photographs = ViewPhotographs.of(capture.views, downsample, mesh.positions.device)
-    photographs = equally_exposed(photographs, mesh, ray_structure(mesh), takes)
+    positions, normals, faces = (each.detach().cpu().numpy() for each in (mesh.positions, mesh.normals, mesh.faces))
+    factors = exposure_corrections(positions, normals, faces, capture, downsample)
+    if factors is not None:
+        photographs = photographs.multiplied(factors)
     fit = _BoundaryFit(mesh, photographs, train, neighbours, iou)
     if not fit.has_boundaries(mesh):
         return mesh, OcclusionBoundariesSkipped("no part of the object hides another in any view")

@@ -65,7 +65,7 @@ class VertexColors:
         self._weights = torch.zeros(count, len(views), dtype=torch.float16, device=device)
         normals = mesh.normals.detach()
         for view, column in self._column.items():
-            colors, weights = observed_colors(mesh.positions.detach(), normals, photographs, view, tracer)
+            colors, weights = _observed(mesh.positions.detach(), normals, photographs, view, tracer)
             self._colors[:, column], self._weights[:, column] = colors.half(), weights.half()
         directions = normalize(photographs.centers, dim=1)
         angle = torch.rad2deg(torch.arccos((directions @ directions.T).clamp(-1, 1)))
@@ -143,7 +143,7 @@ class VertexColors:
         return torch.zeros_like(values).index_add(0, a, values[b]).index_add(0, b, values[a])
 
 
-def observed_colors(
+def _observed(
     positions: Float[Tensor, "V 3"],
     normals: Float[Tensor, "V 3"],
     photographs: ViewPhotographs,

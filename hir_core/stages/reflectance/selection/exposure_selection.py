@@ -15,8 +15,10 @@ from hir_core.capture import Capture
 from hir_core.capture.photograph_exposures import Exposures
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import CaptureError, ConfigError
+from hir_core.intake.exposure_differences import exposure_corrections
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
+from hir_core.scene import Mesh
 from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
 from hir_core.stages.reflectance.selection.held_out_comparison import MIN_GAIN_DB, is_significant, paired_gain
@@ -42,16 +44,21 @@ class ExposureSelection:
 
 
 def select_exposures(
-    fits: FoldedFits[FitT, RefinementT], hypotheses: Sequence[ModelSpec], recorded: bool, later_cost: float = 0.0
+    fits: FoldedFits[FitT, RefinementT],
+    hypotheses: Sequence[ModelSpec],
+    recorded: bool,
+    later_cost: float = 0.0,
+    differ: bool = False,
 ) -> ExposureSelection:
     """Compares exposures with the simplest hypothesis under each light; `recorded`: whether photographs record any.
 
-    Exposures are fitted only where held-out views are nearer at exposures of their own. `later_cost`: expected cost of
-    what follows, for the progress.
+    Exposures are fitted only where held-out views are nearer at exposures of their own, or where colours of the same
+    places `differ` between photographs: then any gain is enough. `later_cost`: expected cost of what follows, for the
+    progress.
     """
     specs = simplest_under_each_light(hypotheses)
     fits.expect(2 * len(specs) * fit_cost(specs[0], BUDGET.effort, BUDGET.pixel_share) + later_cost)
-    comparison = _ExposureComparison(fits, specs)
+    comparison = _ExposureComparison(fits, specs, differ)
     if recorded:
         comparison.compare_recorded()
     comparison.compare_fitted()
@@ -61,8 +68,8 @@ def select_exposures(
 class _ExposureComparison(Generic[FitT, RefinementT]):
     """The best fit so far, with the exposures that were selected."""
 
-    def __init__(self, fits: FoldedFits[FitT, RefinementT], specs: Sequence[ModelSpec]) -> None:
-        self._fits, self._specs = fits, specs
+    def __init__(self, fits: FoldedFits[FitT, RefinementT], specs: Sequence[ModelSpec], differ: bool) -> None:
+        self._fits, self._specs, self._differ = fits, specs, differ
         self.selected = ExposureSelection("equal")
         self._best = self._best_with("equal")
 
@@ -74,13 +81,15 @@ class _ExposureComparison(Generic[FitT, RefinementT]):
         """Selects fitted exposures where held-out views gain, all at exposures of their own."""
         control = at_own_exposures(self._fits, self._best)
         # the gain differs from view to view by nature, so its standard error says little
-        if paired_gain(self._best.errors, control.errors)[0] >= MIN_GAIN_DB:
-            self._decide("fitted", control)
+        differ = self._differ and self.selected.exposures == "equal"
+        if differ or paired_gain(self._best.errors, control.errors)[0] >= MIN_GAIN_DB:
+            self._decide("fitted", control, differ)
 
-    def _decide(self, exposures: Exposures, control: FoldedFit[FitT]) -> None:
+    def _decide(self, exposures: Exposures, control: FoldedFit[FitT], differ: bool = False) -> None:
         candidate = self._best_with(exposures)
         before, gain = self.selected.exposures, paired_gain(control.errors, candidate.errors)
-        accepted = gains_by_exposures(control, candidate)
+        # a simple model explains too little for a significant gain; what the colours say is independent of it
+        accepted = gains_by_exposures(control, candidate) or (differ and gain[0] > 0)
         self.selected = ExposureSelection(exposures if accepted else before, before, *gain, len(control.errors))
         if accepted:
             self._best = candidate
@@ -116,6 +125,12 @@ def exposures_to_compare(
             "--set reflectance.exposures=fitted or auto"
         )
     return (settings.exposures,)
+
+
+def exposures_differ(mesh: Mesh, capture: Capture, downsample: int) -> bool:
+    """Whether photographs show the same places of the mesh in different brightness or white balance."""
+    positions, normals, faces = (each.detach().cpu().numpy() for each in (mesh.positions, mesh.normals, mesh.faces))
+    return exposure_corrections(positions, normals, faces, capture, downsample) is not None
 
 
 def at_own_exposures(fits: FoldedFits[FitT, RefinementT], fit: FoldedFit[FitT]) -> FoldedFit[FitT]:

@@ -149,13 +149,15 @@ def select_model(
     exposures: Sequence[Exposures] = ("equal",),
     fits_lamp: bool = False,
     takes: Sequence[int] = (),
+    exposures_differ: bool = False,
 ) -> Selection[FitT]:
     """Fits training views and decides on held-out views.
 
     A model that the settings name is fitted without a comparison. Where `other_shape` is selected its solver replaces
     that of `fits`. Of several `exposures`, the simplest first, those are selected that held-out views ask for; without
     held-out views the first. `fits_lamp`: whether the solver fits a lamp near the camera. `takes`: the number of each
-    view's take, of which each leaves views to the fit.
+    view's take, of which each leaves views to the fit. `exposures_differ`: whether photographs show the same places of
+    the mesh in different brightness.
     """
     folds = model_selection_folds(views, takes)
     forced = forced_spec(settings)
@@ -168,7 +170,7 @@ def select_model(
     if folded is not None and len(exposures) > 1:
         compared = _supported(fits, admitted if forced is None else [simplest_of(forced)])
         later_cost = _hypotheses_cost(compared) if forced is None else fit_cost(forced, 1.0)
-        shown = select_exposures(folded, compared, "recorded" in exposures, later_cost)
+        shown = select_exposures(folded, compared, "recorded" in exposures, later_cost, exposures_differ)
     if forced is not None or folded is None:
         spec = _supported(fits, [forced])[0] if forced is not None else _default(fits, settings)
         spec = replace(spec, exposures=shown.exposures)

@@ -48,11 +48,15 @@ class ExposedSolver(Scripted):
 
 
 def selected(
-    levels: Mapping[tuple[str, str], float], exposures: Sequence[Exposures] = CHOICES, **settings: Any
+    levels: Mapping[tuple[str, str], float],
+    exposures: Sequence[Exposures] = CHOICES,
+    differ: bool = False,
+    noise: float = 0.02,
+    **settings: Any,
 ) -> tuple[Selection[Fit], ExposedSolver]:
-    solver, recorder = ExposedSolver(levels), Recorder()
+    solver, recorder = ExposedSolver(levels, noise), Recorder()
     fits = FitSequence(solver, recorder.progress)
-    found = select_model(fits, ReflectanceSettings(**settings), 48, recorder, None, exposures)
+    found = select_model(fits, ReflectanceSettings(**settings), 48, recorder, None, exposures, exposures_differ=differ)
     assert recorder.shares == sorted(recorder.shares) and recorder.shares[-1] <= 1
     return found, solver
 
@@ -66,6 +70,17 @@ def test_exposures_are_fitted_where_held_out_views_gain(settings: dict[str, Any]
     selection, _ = selected(DIFFERENT, **settings)
     assert selection.exposures.exposures == selection.spec.exposures == "fitted"
     assert selection.exposures.gain_db == pytest.approx(5, abs=0.2)
+
+
+@pytest.mark.parametrize(("fitted_db", "expected"), [(20.15, "fitted"), (18.0, "equal")], ids=["gain", "loss"])
+def test_any_gain_is_enough_where_colours_of_the_same_places_differ(fitted_db: float, expected: str) -> None:
+    """Beside the selected material, which explains more, fitted exposures must gain significantly again."""
+    levels = {("equal", "equal"): 20.0, ("equal", "fitted"): 20.0, ("fitted", "fitted"): fitted_db}
+    found = [selected(levels, differ=differ, noise=0.2)[1] for differ in (True, False)]
+    hypotheses = [
+        {spec.exposures for spec, effort, _ in each.budgets if effort > 0 and spec.kind == "metal"} for each in found
+    ]
+    assert expected in hypotheses[0] and "fitted" not in hypotheses[1]
 
 
 def test_nothing_is_fitted_where_held_out_views_are_as_near_at_equal_exposures() -> None:
