@@ -252,13 +252,13 @@ def test_the_true_surface_predicts_photographs_and_a_lid_does_not() -> None:
 
 
 def test_photographs_are_compared_with_equal_exposures() -> None:
-    """Of a painted block, with factors of up to a stop: corrected ones predict each other as equal ones do."""
+    """Of a painted block, with factors of up to two stops: corrected ones predict each other as equal ones do."""
     capture = photographed(block(), painted)
     mesh = block().subdivide().subdivide()
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     arrays = vertices, vertex_normals(vertices, faces), faces
     assert exposure_corrections(*arrays, capture) is None, "nothing is changed where all are equal"
-    factors = np.exp2(np.random.default_rng(1).uniform(-1, 0, len(capture.views)))
+    factors = np.exp2(np.random.default_rng(1).uniform(-2, 0, len(capture.views)))
 
     def darker(view: View, factor: float) -> View:
         pixels = view.pixels()
