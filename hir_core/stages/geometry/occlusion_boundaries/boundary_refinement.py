@@ -128,6 +128,9 @@ def refine_occlusion_boundaries(
         return confirmed_share((0.0, 1.0), errors, LEAST_GAIN).gain >= LEAST_EARLY_GAIN
 
     fitted, curve = _fit(mesh, fit, settings, context, [view.name for view in capture.views], is_promising)
+    if fitted is None:
+        least = f"{100 * LEAST_EARLY_GAIN:g} %"
+        return mesh, OcclusionBoundariesSkipped(f"after {EARLY_STEPS} steps the judging views gain less than {least}")
     movement, (before, after) = confirmed_movement(mesh, fitted, evaluated, LINE, LEAST_GAIN)
     part = max(1, len(curve) // 10)
     report = OcclusionBoundariesReport(
@@ -242,9 +245,9 @@ def _fit(
     context: StageContext,
     names: list[str],
     is_promising: Callable[[Mesh], bool],
-) -> tuple[Mesh, Float[np.ndarray, " steps"]]:
-    """The mesh after the optimisation, and the boundaries' error at each step. It ends after `EARLY_STEPS` where the
-    mesh is not promising then.
+) -> tuple[Mesh | None, Float[np.ndarray, " steps"]]:
+    """The mesh after the optimisation, None where it is not promising after `EARLY_STEPS`, and the boundaries' error at
+    each step.
     """
     large = LargeSteps(mesh.topology, len(mesh.positions), FINE_SMOOTHNESS)
     parameter = large.encode(mesh.positions.detach()).requires_grad_(True)
@@ -289,7 +292,8 @@ def _fit(
     warn_of_skipped_steps(report, context.warn)
     with torch.no_grad():
         curve = report.curves.get("occlusion_boundary", np.zeros(0))
-        return mesh.with_positions(large.decode(parameter).detach()), curve
+        ended = report.steps < steps
+        return None if ended else mesh.with_positions(large.decode(parameter).detach()), curve
 
 
 @torch.no_grad()

@@ -14,6 +14,7 @@ from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
+from hir_core.stages.geometry.occlusion_boundaries import boundary_refinement
 from hir_core.stages.geometry.occlusion_boundaries.boundary_refinement import refine_occlusion_boundaries
 from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesReport,
@@ -153,6 +154,17 @@ def test_right_boundaries_stay(cup_capture: Capture, tmp_path) -> None:  # type:
     before = mesh_of(positions, faces)
     mesh, _ = _refined(before, cup_capture, tmp_path)
     assert abs(_inner_radius(mesh) - INNER) < 0.003  # 0.0006, of which the facets are 0.0004
+
+
+def test_boundaries_that_judging_views_do_not_confirm_early_are_left(
+    cup_capture: Capture, tmp_path, monkeypatch: pytest.MonkeyPatch
+) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setattr(boundary_refinement, "LEAST_EARLY_GAIN", 1.0)
+    positions, faces, _ = _cup(WRONG)
+    before = mesh_of(positions, faces)
+    mesh, report = _refined(before, cup_capture, tmp_path)
+    assert isinstance(report, OcclusionBoundariesSkipped) and "after 72 steps" in report.reason
+    assert mesh is before
     assert float((mesh.positions - before.positions).norm(dim=1).median()) < 0.001
 
 
