@@ -196,7 +196,9 @@ def select_model(
     refinement = RefinementSelection(folded, first, fitted, observer.compared)
     if len(exposures) > 1:
         fitted_before = shown.exposures == "fitted"
-        shown = refinement.compare_exposures_again(shown) if fitted_before else refinement.compare_exposures(shown)
+        compare = refinement.compare_exposures_again if fitted_before else refinement.compare_exposures
+        simpler = shown.before if fitted_before else shown.exposures
+        shown = compare(shown, exposures_differ and simpler == "equal")
     refinement.refine_vertices()
     winner, finals, rival_fits = chosen, {chosen.spec: refinement.fit}, []
     for rival in rivals:

@@ -78,19 +78,22 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         """The selected model."""
         return self.fit.spec
 
-    def compare_exposures_again(self, selection: ExposureSelection) -> ExposureSelection:
-        """Selects simpler exposures unless fitted ones gain, with every held-out view at an exposure of its own."""
+    def compare_exposures_again(self, selection: ExposureSelection, differ: bool = False) -> ExposureSelection:
+        """Selects simpler exposures unless fitted ones gain, with every held-out view at an exposure of its own.
+
+        Where colours of the same places `differ` between photographs any gain is enough, as before the hypotheses.
+        """
         candidate, _, _ = self._against_control(replace(self.spec, exposures=selection.before))
         own = at_own_exposures(self._fits, candidate)
         gain, standard_error = paired_gain(own.errors, self.fit.errors)
-        needed = gains_by_exposures(own, self.fit)
+        needed = gains_by_exposures(own, self.fit) or (differ and gain > 0)
         self._record(replace(own, spec=candidate.spec), -gain, standard_error, accepted=not needed)
         if not needed:
             self.fit, self._has_control = candidate, False
         return ExposureSelection(self.spec.exposures, selection.before, gain, standard_error, len(own.errors))
 
-    def compare_exposures(self, selection: ExposureSelection) -> ExposureSelection:
-        """Selects fitted exposures where held-out views gain, all at exposures of their own.
+    def compare_exposures(self, selection: ExposureSelection, differ: bool = False) -> ExposureSelection:
+        """Selects fitted exposures where held-out views gain, all at exposures of their own; `differ` as above.
 
         Nothing is fitted where held-out views are as near at the exposures of the model.
         """
@@ -100,8 +103,8 @@ class RefinementSelection(Generic[FitT, RefinementT]):
             return selection
         candidate, _, _ = self._against_control(replace(self.spec, exposures="fitted"))
         control = at_own_exposures(self._fits, self.fit)
-        accepted = gains_by_exposures(control, candidate)
         gain = paired_gain(control.errors, candidate.errors)
+        accepted = gains_by_exposures(control, candidate) or (differ and gain[0] > 0)
         if accepted:
             self.fit, self._has_control = candidate, False
         self._record(candidate, *gain, accepted=accepted)

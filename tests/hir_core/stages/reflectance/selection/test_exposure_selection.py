@@ -74,13 +74,15 @@ def test_exposures_are_fitted_where_held_out_views_gain(settings: dict[str, Any]
 
 @pytest.mark.parametrize(("fitted_db", "expected"), [(20.15, "fitted"), (18.0, "equal")], ids=["gain", "loss"])
 def test_any_gain_is_enough_where_colours_of_the_same_places_differ(fitted_db: float, expected: str) -> None:
-    """Beside the selected material, which explains more, fitted exposures must gain significantly again."""
+    """With evidence, before the hypotheses and beside the selected material; without it a small gain is noise."""
     levels = {("equal", "equal"): 20.0, ("equal", "fitted"): 20.0, ("fitted", "fitted"): fitted_db}
-    found = [selected(levels, differ=differ, noise=0.2)[1] for differ in (True, False)]
-    hypotheses = [
-        {spec.exposures for spec, effort, _ in each.budgets if effort > 0 and spec.kind == "metal"} for each in found
-    ]
-    assert expected in hypotheses[0] and "fitted" not in hypotheses[1]
+    (found, with_evidence), (other, without) = (selected(levels, differ=differ, noise=0.2) for differ in (True, False))
+    assert found.exposures.exposures == expected and other.exposures.exposures == "equal"
+
+    def of_metal(solver: ExposedSolver) -> set[str]:
+        return {spec.exposures for spec, effort, _ in solver.budgets if effort > 0 and spec.kind == "metal"}
+
+    assert expected in of_metal(with_evidence) and of_metal(without) == {"equal"}
 
 
 def test_nothing_is_fitted_where_held_out_views_are_as_near_at_equal_exposures() -> None:
