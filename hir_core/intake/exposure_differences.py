@@ -12,6 +12,8 @@ from hir_core.mesh.ray_casting import MeshQueries
 
 POINTS = 4_000
 """Vertices at which photographs are compared."""
+SIDE_PIXELS = 512
+"""Photographs are reduced by the largest whole factor that leaves this many pixels on the longer side."""
 LEAST_COSINE = 0.25
 """Between normal and ray: highlights and the edge of the object are at grazing angles."""
 LEAST_COVERAGE = 0.99
@@ -27,13 +29,12 @@ def exposure_corrections(
     normals: Float[NDArray[np.floating], "V 3"],
     faces: NDArray[np.integer],
     capture: Capture,
-    downsample: int = 1,
 ) -> Float[Array, "views 3"] | None:
     """Factors that make the photographs of each take equally exposed; None where they are, or where one lacks a camera.
 
     The mesh (unit normals at its vertices) and the capture are in one frame, with the object near the origin.
     """
-    if len(positions) == 0 or any(view.camera is None for view in capture.views):
+    if len(positions) == 0 or len(capture.views) < 2 or any(view.camera is None for view in capture.views):
         return None
     chosen = slice(None, None, max(1, len(positions) // POINTS))
     points, directions = np.asarray(positions[chosen], np.float64), np.asarray(normals[chosen], np.float64)
@@ -42,18 +43,19 @@ def exposure_corrections(
     color = np.zeros((len(capture.views), len(points), 3))
     known = np.zeros(color.shape, bool)
     for i, view in enumerate(capture.views):
-        rows, seen, certain = _colors(view, points, directions, start, tracer, downsample)
+        rows, seen, certain = _colors(view, points, directions, start, tracer)
         color[i, rows], known[i, rows] = seen, certain
     toward = np.stack([camera.center for camera in capture.cameras]) - points.mean(axis=0)
     return corrections_of_takes(color, known, toward, capture.take_numbers)
 
 
 def _colors(
-    view: View, points: Array, normals: Array, start: Array, tracer: MeshQueries, downsample: int
+    view: View, points: Array, normals: Array, start: Array, tracer: MeshQueries
 ) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
     """Rows of the points that the view shows, their linear colours, and which channels are not clipped."""
     assert view.camera is not None
-    camera, pixels = view.camera.downsampled(downsample), view.pixels(downsample)
+    factor = max(1, max(view.camera.width, view.camera.height) // SIDE_PIXELS)
+    camera, pixels = view.camera.downsampled(factor), view.pixels(factor)
     height, width = pixels.color_linear.shape[:2]
     toward = camera.center - points
     toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-30)

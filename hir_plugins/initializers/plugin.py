@@ -69,7 +69,7 @@ COLMAP = Component(
     target="hir_plugins.initializers.sfm.colmap:Colmap",
     config=ColmapOptions,
     summary="Estimates cameras and sparse points from photographs by structure from motion.",
-    requires=("torch", "jaxtyping", "pycolmap", "cv2"),
+    requires=("torch", "jaxtyping", "pycolmap", "cv2", "scipy"),
     extra="reconstruct",
     traits=frozenset({"finds_cameras", "reads_files"}),
 )

@@ -180,7 +180,7 @@ def _fit_by_solver(
         exposures,
         fits_lamp,
         capture.take_numbers,
-        len(exposures) > 1 and exposures_differ(scene.mesh, capture, settings.downsample),
+        len(exposures) > 1 and exposures_differ(scene.mesh, capture),
     )
     solver = fits.solver
     fit, spec = selection.fit, selection.spec

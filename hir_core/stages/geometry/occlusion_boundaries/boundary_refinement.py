@@ -109,7 +109,7 @@ def refine_occlusion_boundaries(
     downsample = finest_downsample(capture.views, settings.downsample)
     photographs = ViewPhotographs.of(capture.views, downsample, mesh.positions.device)
     positions, normals, faces = (each.detach().cpu().numpy() for each in (mesh.positions, mesh.normals, mesh.faces))
-    factors = exposure_corrections(positions, normals, faces, capture, downsample)
+    factors = exposure_corrections(positions, normals, faces, capture)
     if factors is not None:
         photographs = photographs.multiplied(factors)
     fit = _BoundaryFit(mesh, photographs, train, neighbours, iou)

@@ -127,10 +127,10 @@ def exposures_to_compare(
     return (settings.exposures,)
 
 
-def exposures_differ(mesh: Mesh, capture: Capture, downsample: int) -> bool:
+def exposures_differ(mesh: Mesh, capture: Capture) -> bool:
     """Whether photographs show the same places of the mesh in different brightness or white balance."""
     positions, normals, faces = (each.detach().cpu().numpy() for each in (mesh.positions, mesh.normals, mesh.faces))
-    return exposure_corrections(positions, normals, faces, capture, downsample) is not None
+    return exposure_corrections(positions, normals, faces, capture) is not None
 
 
 def at_own_exposures(fits: FoldedFits[FitT, RefinementT], fit: FoldedFit[FitT]) -> FoldedFit[FitT]:
