@@ -62,7 +62,7 @@ class DefaultValue:
 
 
 SELECTION = "hir_core.stages.reflectance.selection"
-PHOTOGRAPHS = "hir_core.stages.geometry"
+PHOTOGRAPHS = "hir_core.stages.geometry.photo_consistency"
 FITS = "hir_plugins.reflectance_renderers.transport_ggx.fit"
 TEXTURES = "hir_plugins.reflectance_renderers.transport_ggx.textures"
 DEFAULT_VALUES = {

@@ -11,7 +11,7 @@ import numpy as np
 
 from hir_core.capture import Array, Capture
 from hir_core.errors import StageError
-from hir_core.intake.exposure_differences import exposure_corrections
+from hir_core.mesh.exposure_differences import exposure_corrections
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
 from hir_core.scene.frames import move_scene

@@ -12,7 +12,7 @@ import trimesh
 
 from hir_core.capture import Array, Capture, View
 from hir_core.errors import ConfigError, StageError
-from hir_core.intake.exposure_differences import exposure_corrections
+from hir_core.mesh.exposure_differences import exposure_corrections
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.options import build_options
 from hir_core.scene import Scene

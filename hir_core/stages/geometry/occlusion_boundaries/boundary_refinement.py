@@ -18,7 +18,7 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
-from hir_core.intake.exposure_differences import exposure_corrections
+from hir_core.mesh.exposure_differences import exposure_corrections
 from hir_core.mesh.large_steps import LargeSteps, UniformAdam
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.optimization.nonfinite_diagnostics import nonfinite_views

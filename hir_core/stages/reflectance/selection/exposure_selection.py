@@ -15,7 +15,7 @@ from hir_core.capture import Capture
 from hir_core.capture.photograph_exposures import Exposures
 from hir_core.config import ReflectanceSettings
 from hir_core.errors import CaptureError, ConfigError
-from hir_core.intake.exposure_differences import exposure_corrections
+from hir_core.mesh.exposure_differences import exposure_corrections
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Mesh
