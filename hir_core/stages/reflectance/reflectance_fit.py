@@ -179,8 +179,8 @@ def _fit_by_solver(
         shape,
         exposures,
         fits_lamp,
-        capture.take_numbers,
-        len(exposures) > 1 and exposures_differ(scene.mesh, capture),
+        takes=capture.take_numbers,
+        exposures_differ=len(exposures) > 1 and exposures_differ(scene.mesh, capture),
     )
     solver = fits.solver
     fit, spec = selection.fit, selection.spec

@@ -28,8 +28,8 @@ _HELD_OUT_INTERVAL = 5
 _MIN_OBSERVATIONS = 24
 """A pose is adjusted if its image sees so many points; others stay as they are."""
 _MIN_POINTS = 100
-_LOSS_SCALE = 1.0
-"""Pixels at which the robust loss (soft L1) turns from quadratic to linear."""
+LOSS_SCALE_PIXELS = 1.0
+"""At which the robust loss (soft L1) turns from quadratic to linear."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def adjust_bundle(
         moving = _images_with_points(model)
         if model.num_points3D() < _MIN_POINTS or len(moving) < 3:
             return None
-        _adjust(model, moving, refine_focal and number > 0, options)
+        adjust_reconstruction(model, moving, options, focal_length=refine_focal and number > 0)
     return AdjustedCameras(
         tuple(_cameras_of(model, images, cameras)), len(_images_with_points(model)), model.num_points3D(), held_out
     )
@@ -165,17 +165,24 @@ def _images_with_points(model: pycolmap.Reconstruction) -> list[pycolmap.Image]:
     return [image for image in model.images.values() if image.num_points3D >= _MIN_OBSERVATIONS]
 
 
-def _adjust(
-    model: pycolmap.Reconstruction, moving: Sequence[pycolmap.Image], refine_focal: bool, options: ColmapOptions
+def adjust_reconstruction(
+    model: pycolmap.Reconstruction,
+    moving: Sequence[pycolmap.Image],
+    options: ColmapOptions,
+    *,
+    focal_length: bool,
+    distortion: bool = False,
 ) -> None:
-    """Moves poses and points of `model`; images outside `moving` keep their poses and hold the world."""
+    """Moves poses and points of `model`, and focal lengths and distortions if asked; images outside `moving` keep their
+    poses and hold the world.
+    """
     settings = pycolmap.BundleAdjustmentOptions()
-    settings.refine_focal_length = refine_focal
-    settings.refine_extra_params = False
+    settings.refine_focal_length = focal_length
+    settings.refine_extra_params = distortion
     settings.refine_principal_point = False
     settings.print_summary = False
     settings.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
-    settings.ceres.loss_function_scale = _LOSS_SCALE
+    settings.ceres.loss_function_scale = LOSS_SCALE_PIXELS
     settings.ceres.solver_options.num_threads = options.threads
     config = pycolmap.BundleAdjustmentConfig()
     free = {image.image_id for image in moving}

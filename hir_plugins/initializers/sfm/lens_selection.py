@@ -13,6 +13,7 @@ import numpy as np
 import pycolmap
 
 from hir_plugins.initializers.options import ColmapOptions
+from hir_plugins.initializers.sfm.bundle_adjustment import LOSS_SCALE_PIXELS, adjust_reconstruction
 
 LEAST_GAIN = 0.002
 """Relative fall of the reprojection error by which a distortion counts; one that is not there brings 0.0001 to 0.0003
@@ -21,8 +22,8 @@ REQUIRED_STANDARD_ERRORS = 2.0
 """Of that fall, over photographs."""
 LEAST_OBSERVATIONS = 24
 """Of a photograph that is compared."""
-LOSS_SCALE_PIXELS = 1.0
-"""At which the robust loss (soft L1) turns from quadratic to linear."""
+LARGEST_PIXELS = 3 * LOSS_SCALE_PIXELS
+"""A larger reprojection error counts as this: a wrong match."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,9 @@ def simplest_lens(
         camera.model = pycolmap.CameraModelId.SIMPLE_PINHOLE
         camera.params = kept
     for each in (distorted, plain):
-        _adjust(each, options)
+        moving = [image for image in each.images.values() if image.has_pose]
+        adjust_reconstruction(each, moving, options, focal_length=True, distortion=True)
+        each.update_point_3d_errors()
     with_distortion, without = _errors(distorted), _errors(plain)
     names = sorted(with_distortion.keys() & without.keys())
     if len(names) < 3:
@@ -71,24 +74,8 @@ def simplest_lens(
     return (model if is_distorted else plain), LensComparison(gain, error, is_distorted)
 
 
-def _adjust(model: pycolmap.Reconstruction, options: ColmapOptions) -> None:
-    settings = pycolmap.BundleAdjustmentOptions()
-    settings.refine_principal_point = False
-    settings.print_summary = False
-    settings.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
-    settings.ceres.loss_function_scale = LOSS_SCALE_PIXELS
-    settings.ceres.solver_options.num_threads = options.threads
-    config = pycolmap.BundleAdjustmentConfig()
-    for image in model.images.values():
-        if image.has_pose:
-            config.add_image(image.image_id)
-    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    pycolmap.create_default_bundle_adjuster(settings, config, model).solve()
-    model.update_point_3d_errors()
-
-
 def _errors(model: pycolmap.Reconstruction) -> dict[str, float]:
-    """Root mean square reprojection error of each photograph, by name; large ones count as `3 LOSS_SCALE_PIXELS`."""
+    """Root mean square reprojection error of each photograph, by name; large ones count as `LARGEST_PIXELS`."""
     found = {}
     for image in model.images.values():
         if not image.has_pose:
@@ -101,5 +88,5 @@ def _errors(model: pycolmap.Reconstruction) -> dict[str, float]:
         camera = model.cameras[image.camera_id]
         projected = np.stack([camera.img_from_cam(point) for point in points])
         squared = ((projected - np.stack([point.xy for point in seen])) ** 2).sum(axis=1)
-        found[image.name] = float(np.sqrt(np.minimum(squared, (3 * LOSS_SCALE_PIXELS) ** 2).mean()))
+        found[image.name] = float(np.sqrt(np.minimum(squared, LARGEST_PIXELS**2).mean()))
     return found

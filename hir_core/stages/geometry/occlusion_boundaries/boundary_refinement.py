@@ -116,15 +116,18 @@ def refine_occlusion_boundaries(
     if not fit.has_boundaries(mesh):
         return mesh, OcclusionBoundariesSkipped("no part of the object hides another in any view")
 
-    def evaluated(candidate: Mesh) -> HeldOutEvaluation:
+    def judged(candidate: Mesh) -> HeldOutEvaluation:
         errors = _prediction_errors(candidate, photographs, judges, neighbours)
         with torch.no_grad():
             return HeldOutEvaluation(errors, float(iou(candidate, list(held_out)).mean()))
 
-    initial = evaluated(mesh).errors
+    initial = judged(mesh)
+
+    def evaluated(candidate: Mesh) -> HeldOutEvaluation:
+        return initial if candidate is mesh else judged(candidate)
 
     def is_promising(candidate: Mesh) -> bool:
-        errors = np.stack([initial, evaluated(candidate).errors])
+        errors = np.stack([initial.errors, judged(candidate).errors])
         return confirmed_share((0.0, 1.0), errors, LEAST_GAIN).gain >= LEAST_EARLY_GAIN
 
     fitted, curve = _fit(mesh, fit, settings, context, [view.name for view in capture.views], is_promising)
