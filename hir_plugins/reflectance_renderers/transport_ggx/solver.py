@@ -31,7 +31,10 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_
     MIN_VIEW_COSINE,
     ObservedPixels,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.photograph_pixels import PhotographPixels
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.photograph_pixels import (
+    DRAW_SEEDS,
+    PhotographPixels,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import (
     PixelColors,
     predict,
@@ -61,9 +64,11 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport im
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.shading import TransportShading
 from hir_plugins.reflectance_renderers.transport_ggx.textures.albedo_refinement import AlbedoRefinement
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs
 from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import ImageCache
-from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import LitSurface, predict_pixels
+from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import LitSurface, pixel_brdfs
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_maps import solve_per_texel_maps
+from hir_plugins.reflectance_renderers.transport_ggx.textures.shaded_points import ShadedPoints
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import Indirect
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve import solve_scene
 
@@ -282,11 +287,13 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         if known is not None and known[0] is fit and known[1] == tuple(views):
             return known[2], known[3]
         photographs = self._pixels.compared(views)
-        drawn = fit.spec.brdf != "diffuse" and fit.spec.per_texel == "none"
+        shown = self._at_texels(fit, photographs) if fit.spec.per_texel != "none" else None
         renderings = []
-        for draw in range(2 if drawn else 1):
+        for draw in range(2 if fit.spec.brdf != "diffuse" else 1):
             # a mean square would contain the noise of the lobes: 1 to 3 dB of a metal's error, nothing of a matt one's
-            parts = list(self._predicted(fit, photographs, draw))
+            parts = (
+                list(self._predicted(fit, photographs, draw)) if shown is None else [self._shaded(fit, *shown, draw)]
+            )
             renderings.append(torch.cat([radiance for _, radiance in parts]))
         pixels = PixelColors.concatenated([block for block, _ in parts])
         self._of_thread.renderings = fit, tuple(views), pixels, renderings
@@ -296,16 +303,33 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         """Observed pixels, in parts, with the radiance that a fit predicts for them, by one draw of its lobes."""
         # no `yield` inside `no_grad`: two such generators that take turns would leave gradients off
         if fit.spec.per_texel != "none":
-            interval = max(1, math.ceil(len(photographs) / MAX_COMPARED_POINTS))
-            few = photographs.take(torch.arange(0, len(photographs), interval))
-            with torch.no_grad():
-                radiance = predict_pixels(self._lit(fit), few, fit.spec.per_texel == "brdf")
-            yield PixelColors.of(few), radiance
+            yield self._shaded(fit, *self._at_texels(fit, photographs), draw)
             return
         for block, specular in self._pixels.batches(photographs, fit.spec, draw).each(fit.parameters, fit.spec.brdf):
             with torch.no_grad():
                 radiance = predict(self._transport, block, specular, fit.parameters, fit.spec.bounces)
             yield block, radiance
+
+    def _at_texels(self, fit: Fit, photographs: ObservedPixels) -> tuple[ObservedPixels, PointBrdfs]:
+        """At most `MAX_COMPARED_POINTS` of observed pixels, and their BRDFs from the photographs of the fit alone."""
+        few = photographs.take(torch.arange(0, len(photographs), max(1, -(-len(photographs) // MAX_COMPARED_POINTS))))
+        with torch.no_grad():
+            return few, pixel_brdfs(self._lit(fit), few, fit.spec.per_texel == "brdf")
+
+    def _shaded(
+        self, fit: Fit, pixels: ObservedPixels, brdfs: PointBrdfs, draw: int
+    ) -> tuple[PixelColors, Float[Tensor, "P 3"]]:
+        """Pixels with BRDFs of their own, and their radiance by the lobes that shade textures.
+
+        The probes that the BRDFs are solved with are less exact: what they are fitted to, they predict better than
+        textures can show it.
+        """
+        if not len(pixels):
+            return PixelColors.of(pixels), pixels.color
+        seed = draw * DRAW_SEEDS + (self._options.seed << 32)
+        with torch.no_grad():
+            shaded = ShadedPoints.of(self._lit(fit), pixels.points, brdfs, self._options.samples, seed)
+            return PixelColors.of(pixels), brdfs.albedo * shaded.gain + shaded.lobe
 
     def _lit(self, fit: Fit) -> LitSurface:
         """The surface under the light of a fit; the last one is cached, because comparisons use it four times."""

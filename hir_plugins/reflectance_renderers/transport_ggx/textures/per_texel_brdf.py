@@ -181,23 +181,15 @@ def _glossy(takes: Sequence[ObservedPoints], start: PointBrdfs) -> PointBrdfs:
     )
 
 
-def predict_pixels(lit: LitSurface, pixels: ObservedPixels, all_parameters: bool) -> Float[Tensor, "P 3"]:
-    """Linear radiance of pixels, from BRDFs that are solved from the photographs of `lit` only."""
-    radiance = [torch.zeros_like(pixels.color[:0])]
+def pixel_brdfs(lit: LitSurface, pixels: ObservedPixels, all_parameters: bool = True) -> PointBrdfs:
+    """The BRDFs of the points behind pixels, from the photographs of `lit` alone; without `all_parameters` only their
+    albedos are solved.
+    """
+    none = pixels.color[:0]
+    brdfs = [PointBrdfs(none, none, none[:, :1], none, none[:, :1])]
     for rows in _parts(len(pixels), len(lit.views)):
         points = pixels.points.take(rows)
-        fit, brdfs, _ = lit.solve(points.face, points.barycentric, points.position, points.normal, all_parameters)
-        of_view = lit.transport.takes.of_view
-        radiance.append(fit.predict(brdfs, points.to_eye, None if of_view is None else of_view[points.view]))
-    return torch.cat(radiance)
-
-
-def pixel_brdfs(lit: LitSurface, pixels: ObservedPixels) -> PointBrdfs:
-    """The BRDFs of the points behind pixels."""
-    brdfs = []
-    for rows in _parts(len(pixels), len(lit.views)):
-        points = pixels.points.take(rows)
-        brdfs.append(lit.solve(points.face, points.barycentric, points.position, points.normal, True)[1])
+        brdfs.append(lit.solve(points.face, points.barycentric, points.position, points.normal, all_parameters)[1])
     return PointBrdfs.join(brdfs)
 
 

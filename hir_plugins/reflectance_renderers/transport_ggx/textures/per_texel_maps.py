@@ -17,8 +17,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_
     ObservedPixels,
     observe_pixels,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA, Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import refined_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs
@@ -31,13 +30,9 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf imp
     pixel_brdfs,
     texel_brdfs,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.textures.shaded_points import ShadedPoints
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import TexelEquations, solve_texels
-from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import (
-    gain_and_lobe,
-    irradiance_at,
-    lobe_radiance,
-    sample,
-)
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_shading import sample
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve import (
     PADDING_TEXELS,
     TEXEL_HUBER_SRGB,
@@ -154,19 +149,14 @@ def _equations(
         if not len(part):
             continue
         values = maps.at(part.points.uvs(transport.surface))
-        points, alpha = (
-            part.points.with_normals(offset_normals(part.points.normal, values.normal_offset)),
-            values.alpha.clamp(MIN_ALPHA, 1),
-        )
-        arriving = irradiance_at(transport, points, part.points.normal, lit.irradiance, lit.vectors)
-        lobes = transport.lobes(points, alpha, options.texture_samples, None, options.seed)
-        received = lobe_radiance(lobes, alpha, lit.sources)
-        gain, lobe = gain_and_lobe(lit.model, values.specular, alpha, arriving, lobes, received)
+        shaded = ShadedPoints.of(lit, part.points, values, options.texture_samples, options.seed)
         size = (int(maps.albedo.shape[0]), int(maps.albedo.shape[1]))
-        rows = texel_equations(transport, part, gain, lobe, lit.parameters.exposure, size)
+        rows = texel_equations(transport, part, shaded.gain, shaded.lobe, lit.parameters.exposure, size)
         if lit.model == "metallic":
             base, f0 = maps.base_color(lit.dielectric_f0), lit.dielectric_f0
-            rows = metallic_equations(rows, base, maps.metalness, f0, arriving, lobes, alpha, received)
+            rows = metallic_equations(
+                rows, base, maps.metalness, f0, shaded.arriving, shaded.lobes, shaded.alpha, shaded.received
+            )
         equations.append(rows)
         report((done + 1) / len(lit.views))
     return equations

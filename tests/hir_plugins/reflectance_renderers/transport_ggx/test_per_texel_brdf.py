@@ -10,7 +10,11 @@ import torch
 from torch import Tensor
 
 from hir_core.capture import Capture
-from hir_core.scene import Scene
+from hir_core.plugins.model_spec import ModelSpec
+from hir_core.scene import Material, Scene
+from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
+from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
+from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs
 from tests.fixtures.made_captures import (
     TEXELS,
     around,
@@ -92,3 +96,24 @@ def test_few_or_black_photographs_give_physical_values(tmp_path: Path) -> None:
     assert report.solver["observed"] < 0.5
     assert scene.material is not None and scene.material.normal is not None
     assert torch.isfinite(scene.material.normal).all()
+
+
+def test_held_out_pixels_are_shaded_as_textures_are() -> None:
+    """A per-texel BRDF is compared by its textures' shading: of one BRDF everywhere both renderings are the same."""
+    truth = brocade()
+    capture = photographs(truth, around(5), size=32)
+    options = TransportGGXOptions(vertices=0, cache_cells=200, samples=6, steps=1)
+    solver = TransportGGX(options).prepare(truth, capture)
+    spec = ModelSpec("dielectric", "uniform", light_is_known=True, per_texel="brdf")
+    fit = solver.fit(spec, None, range(4), 0.1, lambda share: None)
+    pixels = solver._pixels.compared([4])
+    albedo, specular, alpha = torch.tensor([0.4, 0.3, 0.2]), torch.tensor([0.05, 0.06, 0.07]), torch.tensor([0.3])
+    material = Material("dielectric", albedo, specular, alpha)
+    count = len(pixels)
+    normals, metalness = torch.zeros(count, 3), torch.zeros(count, 1)
+    values = PointBrdfs(*(each.expand(count, -1) for each in (albedo, specular, alpha)), normals, metalness)
+    _, shown = solver._shaded(fit, pixels, values, draw=0)
+    expected = solver.radiance(material, lamps(), pixels.pixel)
+    assert torch.allclose(shown, expected, atol=1e-4, rtol=1e-3) and float(expected.max()) > 0.1
+    _, other = solver._shaded(fit, pixels, values, draw=1)
+    assert not torch.equal(other, shown)
