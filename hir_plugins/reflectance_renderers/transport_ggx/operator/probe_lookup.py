@@ -1,22 +1,33 @@
 """The radiance in a point's specular lobe, looked up in the radiance probe of its cache cell (Dr.Jit).
 
-The lobe is one lookup in its dominant direction (Lagarde & de Rousiers 2014), bilinear in the probe and linear between
-its levels. Reading the eight texels is most of the cost. So they form a `Patch`, which also gives, by extrapolation,
-the radiance in lobes of nearby normals and levels. That is accurate enough for derivatives.
+The lobe is one lookup in its mean direction, at the width of the symmetric lobe with the same mean (`lobe_moments.py`),
+bilinear in the probe and linear between its levels. Reading the eight texels is most of the cost. So they form a
+`Patch`, which also gives, by extrapolation, the radiance in lobes of nearby normals and levels. That is accurate enough
+for derivatives.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from hir_exporters.conventions import ALPHA_MIN
 
-from hir_plugins.reflectance_renderers.drjit_bilinear import repeated
+from hir_plugins.reflectance_renderers.drjit_arrays import floats
+from hir_plugins.reflectance_renderers.drjit_bilinear import bilinear, clamped, repeated
 from hir_plugins.reflectance_renderers.drjit_latlong import latlong_coordinates
 from hir_plugins.reflectance_renderers.drjit_types import DrJitArray
 from hir_plugins.reflectance_renderers.mitsuba_ggx.brdf_drjit import albedo_terms
+from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.lobe_moments import (
+    COSINES,
+    LENGTHS,
+    WIDTHS,
+    moment_table,
+    width_table,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import MIN_EYE_COSINE
 from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import (
     ALPHA_LEVELS,
@@ -28,6 +39,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes im
 
 TEXELS_PER_PROBE = ALPHA_LEVELS * PROBE_ROWS * PROBE_COLUMNS
 """Texels of one cell's probe, all levels together."""
+LEVELS_PER_E = float((ALPHA_LEVELS - 1) / -np.log(MIN_LEVEL_ALPHA))
+"""Levels by which the width grows e-fold."""
 MAX_PATCH_COLUMNS = 1.0
 """Extrapolation in columns is limited to this: near the poles a small rotation passes many columns."""
 
@@ -45,7 +58,7 @@ class Lobe(NamedTuple):
     column: DrJitArray
     row: DrJitArray
     level: DrJitArray
-    """0 is the narrowest."""
+    """Of its width; 0 is the narrowest."""
     scale: DrJitArray
     """A of the directional albedo ρs·A + B."""
     bias: DrJitArray
@@ -64,24 +77,50 @@ class Patch(NamedTuple):
     """For each of two levels: the first texel, its differences along columns and rows, and the mixed difference."""
 
 
-def lobe_of(normal: DrJitArray, eye: DrJitArray, level: DrJitArray, coupled: float) -> Lobe:
-    """The lobe of a `level` of α (`radiance_probes.level_of`).
+def lobe_of(normal: DrJitArray, eye: DrJitArray, level: DrJitArray, reflectance: DrJitArray, coupled: float) -> Lobe:
+    """The lobe of a `level` of α (`radiance_probes.level_of`) and a mean ρs.
 
     `coupled` is 0 for the paper's model, where ρs is no F0 but scales the whole lobe, and 1 for `dielectric`.
     """
-    alpha = MIN_LEVEL_ALPHA * dr.exp(
-        dr.clip(level, 0, ALPHA_LEVELS - 1) * float(-np.log(MIN_LEVEL_ALPHA) / (ALPHA_LEVELS - 1))
-    )
+    alpha = MIN_LEVEL_ALPHA * dr.exp(dr.clip(level, 0, ALPHA_LEVELS - 1) / LEVELS_PER_E)
     cosine = dr.maximum(dr.dot(normal, eye), MIN_EYE_COSINE)
-    mirrored = dr.normalize(2 * cosine * normal - eye)
-    smooth = 1 - alpha
-    dominant = dr.normalize(dr.lerp(normal, mirrored, smooth * (dr.sqrt(dr.maximum(smooth, 0)) + alpha)))
-    u, v = latlong_coordinates(dominant)
     scale, bias = albedo_terms(cosine, alpha)
+    along, above = _mean_direction(cosine, alpha, (reflectance if coupled else 1) * scale, bias)
+    u, v = latlong_coordinates(dr.normalize((along * cosine + above) * normal - along * eye))
+    length = dr.sqrt(along * along * dr.maximum(1 - cosine * cosine, 0) + above * above)
     if coupled == 0:
         scale, bias = scale + bias, mi.Float(0)
     column, row = u * PROBE_COLUMNS - 0.5, dr.clip(v * PROBE_ROWS - 0.5, 0, PROBE_ROWS - 1.001)
-    return Lobe(column, row, dr.clip(level, 0, ALPHA_LEVELS - 1.001), scale, bias)
+    return Lobe(column, row, dr.clip(_level(length), 0, ALPHA_LEVELS - 1.001), scale, bias)
+
+
+def _mean_direction(
+    cosine: DrJitArray, alpha: DrJitArray, plain: DrJitArray, schlick: DrJitArray
+) -> tuple[DrJitArray, DrJitArray]:
+    """x and z (`lobe_moments.moment_table`) of a lobe whose part without Schlick's term and the other have albedos."""
+    x = dr.sqrt(dr.clip(cosine, 0, 1)) * (COSINES - 1)
+    y = (dr.sqrt(alpha) - ALPHA_MIN**0.5) * ((WIDTHS - 1) / (1 - ALPHA_MIN**0.5))
+    table = _tables(mi.variant())[0]
+    means = bilinear(
+        lambda row, column: dr.gather(mi.Vector4f, table, row * WIDTHS + column),
+        clamped(y, WIDTHS),
+        clamped(x, COSINES),
+    )
+    share = schlick / dr.maximum(plain + schlick, 1e-6)
+    return dr.lerp(means.x, means.z, share), dr.lerp(means.y, means.w, share)
+
+
+def _level(length: DrJitArray) -> DrJitArray:
+    """Level of the width of the symmetric lobe whose mean has this length."""
+    place = clamped(dr.sqrt(dr.clip(1 - length, 0, 1)) * (LENGTHS - 1), LENGTHS)
+    table = _tables(mi.variant())[1]
+    width = dr.lerp(dr.gather(mi.Float, table, place.low), dr.gather(mi.Float, table, place.high), place.fraction)
+    return (width - float(np.log(MIN_LEVEL_ALPHA))) * LEVELS_PER_E
+
+
+@lru_cache(maxsize=4)
+def _tables(variant: str) -> tuple[DrJitArray, DrJitArray]:
+    return floats(moment_table(), mi), floats(width_table(), mi)
 
 
 def patch_around(probes: DrJitArray, first: DrJitArray, lobe: Lobe) -> Patch:

@@ -76,8 +76,10 @@ def _lobes(rows: int) -> Float[Tensor, "LD T"]:
     toward = texel_directions(rows, 2 * rows)
     solid = row_solid_angles(rows, torch.float32, toward.device).repeat_interleave(2 * rows)
     cosine = texel_directions(PROBE_ROWS, PROBE_COLUMNS) @ toward.T
-    # squared cosine of the half vector; a lobe about the mirrored direction is as wide as one about the normal
+    # squared cosine of the half vector
     half = ((1 + cosine) / 2).clamp(0, 1)
     square = alpha_of(torch.arange(ALPHA_LEVELS, dtype=torch.float32)).square()[:, None, None]
-    lobes = square / (half * (square - 1) + 1).square() * cosine.clamp_min(0) * solid
+    above = cosine.clamp_min(0)
+    shown = 2 * above / (above + (square + (1 - square) * above.square()).sqrt())
+    lobes = square / (half * (square - 1) + 1).square() * shown * solid
     return (lobes / lobes.sum(dim=2, keepdim=True).clamp_min(1e-30)).reshape(-1, len(toward))

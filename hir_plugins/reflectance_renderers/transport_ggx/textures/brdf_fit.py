@@ -28,6 +28,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state imp
     ObservedPoints,
     PointBrdfs,
     Priors,
+    mean_of,
     vectors_of,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_steps import (
@@ -100,7 +101,7 @@ class PointBrdfFit:
     def _predict(self, arrays: FitArrays, values: PointBrdfs, toward: Float[Tensor, "P 3"]) -> Float[Tensor, "P 3"]:
         state, eye = self.state(values), vectors_of(toward)
         normal = shading_normal(arrays, state.along, state.across)
-        lobe = lobe_of(normal, eye, state.level, arrays.coupled)
+        lobe = lobe_of(normal, eye, state.level, mean_of(state.specular), arrays.coupled)
         patch = patch_around(arrays.probes, arrays.first, lobe)
         return to_color(radiance(arrays, state, patch, lobe, arriving_radiance(arrays, normal)), self._device)
 

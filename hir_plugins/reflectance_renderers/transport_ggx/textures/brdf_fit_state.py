@@ -149,6 +149,11 @@ def vectors_of(values: Float[Tensor, "P 3"]) -> DrJitArray:
     return mi.Vector3f(*(to_float(values[:, axis], mi) for axis in range(3)))
 
 
+def mean_of(color: DrJitArray) -> DrJitArray:
+    """The mean of the channels of each point."""
+    return (color.x + color.y + color.z) / 3  # dr.mean would average over the points too
+
+
 @dataclass
 class BrdfState:
     """The parameters of all points; a tree that Dr.Jit can traverse."""

@@ -28,6 +28,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state imp
     BrdfState,
     FitArrays,
     NormalEquations,
+    mean_of,
 )
 
 LEVEL_DIFFERENCE, NORMAL_DIFFERENCE = 0.2, 0.03
@@ -58,6 +59,7 @@ def _of_photographs(fit: FitArrays, x: BrdfState) -> NormalEquations:
         arriving_radiance(fit, normal_2),
     )
     wider = dr.select(x.level > ALPHA_LEVELS - 1.5, -LEVEL_DIFFERENCE, LEVEL_DIFFERENCE)
+    mean = mean_of(x.specular)
     lane, view, cost = dr.arange(mi.UInt32, fit.count), mi.UInt32(0), dr.zeros(mi.Float, fit.count)
     huber = fit.priors.huber_srgb
     dd, df, ff, de, fe = (mi.Vector3f(0) for _ in range(5))
@@ -69,7 +71,7 @@ def _of_photographs(fit: FitArrays, x: BrdfState) -> NormalEquations:
         weight = dr.gather(mi.Float, fit.weight, row)
         if weight > 0:
             eye = dr.normalize(dr.gather(mi.Vector3f, fit.eyes, view) - fit.position)
-            lobe = lobe_of(normal, eye, x.level, fit.coupled)
+            lobe = lobe_of(normal, eye, x.level, mean, fit.coupled)
             patch = patch_around(fit.probes, fit.first, lobe)
             light = patch_radiance(patch, lobe)
             left = dr.maximum(1 - fit.coupled * (x.specular * lobe.scale + lobe.bias), 0)
@@ -85,11 +87,11 @@ def _of_photographs(fit: FitArrays, x: BrdfState) -> NormalEquations:
             trust = dr.select(off == 0, 0, weight * dr.minimum(1, huber / dr.maximum(size, EPSILON)))
             to_d = steep * left * arriving
             to_f = steep * lobe.scale * (light - fit.coupled * x.albedo * arriving)
-            rougher = lobe_of(normal, eye, x.level + wider, fit.coupled)
+            rougher = lobe_of(normal, eye, x.level + wider, mean, fit.coupled)
             to_a = steep * (radiance(fit, x, patch, rougher, arriving) - value) / wider
-            turned = lobe_of(normal_1, eye, x.level, fit.coupled)
+            turned = lobe_of(normal_1, eye, x.level, mean, fit.coupled)
             to_1 = steep * (radiance(fit, x, patch, turned, arriving_1) - value) / NORMAL_DIFFERENCE
-            turned = lobe_of(normal_2, eye, x.level, fit.coupled)
+            turned = lobe_of(normal_2, eye, x.level, mean, fit.coupled)
             to_2 = steep * (radiance(fit, x, patch, turned, arriving_2) - value) / NORMAL_DIFFERENCE
             dd += trust * to_d * to_d
             df += trust * to_d * to_f
