@@ -312,7 +312,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
 
     def _at_texels(self, fit: Fit, photographs: ObservedPixels) -> tuple[ObservedPixels, PointBrdfs]:
         """At most `MAX_COMPARED_POINTS` of observed pixels, and their BRDFs from the photographs of the fit alone."""
-        few = photographs.take(torch.arange(0, len(photographs), max(1, -(-len(photographs) // MAX_COMPARED_POINTS))))
+        interval = max(1, math.ceil(len(photographs) / MAX_COMPARED_POINTS))
+        few = photographs.take(torch.arange(0, len(photographs), interval))
         with torch.no_grad():
             return few, pixel_brdfs(self._lit(fit), few, fit.spec.per_texel == "brdf")
 

@@ -21,6 +21,7 @@ LENGTHS = 64
 DIRECTIONS = 32
 """Rows and columns of the visible normals of each lobe."""
 LEAST_COSINE = 1e-4
+"""Of n·o: seen exactly along the surface, a lobe has no directions above it."""
 
 
 @cache
