@@ -35,7 +35,8 @@ from hir_plugins.commands.bench.inputs.materials_captures import MaterialsCaptur
 from hir_plugins.commands.bench.materials_options import HALVES, parse_seeds
 from hir_plugins.commands.bench.suites.forced_hypotheses import forcing_settings
 from hir_plugins.commands.bench.suites.materials_run import RunFigures, current_key, run_figures
-from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 
 NAMES = ("light_whiteness", "texel_prior_weight", "texture_size")
 """A setting of the fit, and values that act after it: a constant of the fit itself must not share fits."""

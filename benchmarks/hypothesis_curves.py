@@ -26,7 +26,7 @@ from hir_core.stages.reflectance.selection.folded_fits import FoldedFits
 from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels
 from hir_core.stages.reflectance.selection.hypotheses import FRAMES, KINDS, hypothesis
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, SuccessiveHalving
-from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 
 
 def curves(path: Path, specs: Sequence[ModelSpec], seed: int, options: Mapping[str, Any]) -> dict[str, Any]:

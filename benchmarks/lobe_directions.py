@@ -27,11 +27,12 @@ from hir_core.scene.srgb import linear_to_srgb
 from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.selection.hypotheses import KINDS, hypothesis
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.operator import camera_light
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes import specular_lobes, spiral, traced_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
-from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 
 Pattern = Callable[[int, int, int, torch.device], Tensor]
 FITTED_DIRECTIONS = 64

@@ -16,9 +16,10 @@ from benchmarks.reflectance_task import capture_argument, task_of
 from hir_core.stages.held_out_views import model_selection_folds
 from hir_core.stages.reflectance.selection.hypotheses import hypothesis
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import sample_loss
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import logit_of_alpha
-from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 
 RATIOS = (0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5)
 INITIAL_ALPHAS = (0.05, 0.15, 0.4)

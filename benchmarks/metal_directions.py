@@ -25,8 +25,9 @@ from hir_core.stages.held_out_views import held_out_for_model_selection
 from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels
 from hir_core.stages.reflectance.selection.hypotheses import hypothesis
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, Budget
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import srgb_residual
-from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 
 REFERENCE_DIRECTIONS = 128
 FULL = Budget(1.0, 1.0)

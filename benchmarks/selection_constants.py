@@ -40,7 +40,8 @@ from hir_core.stages.reflectance.selection.refinement_selection import Compariso
 from hir_plugins.commands.bench.inputs.materials_captures import find_captures
 from hir_plugins.commands.bench.materials_options import HALVES, parse_seeds
 from hir_plugins.commands.bench.results.materials_summary import RELIT, UNSEEN
-from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 
 NAMES = (
     "required_standard_errors",

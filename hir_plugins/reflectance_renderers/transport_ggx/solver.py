@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from threading import Lock, local
 from typing import final
 
@@ -26,6 +26,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.exposures import median
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings, settings_of_fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.grazing_gain import errors_with_grazing_gain
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import (
     MIN_VIEW_COSINE,
@@ -41,23 +42,15 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_bat
     srgb_residual,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.gradient_grid import GradientGrid, gradient_grid
-from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_exposures import initial_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess import (
-    direct_irradiance,
     extended_to,
-    initial_albedo,
     initial_candidates,
-    initial_metal,
     simpler_model,
-    without_indirect,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_lamp import initial_lamp
-from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.measured_scale import at_measured_scale
-from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_RADIANCE, Parameters, mean_of_takes
+from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_values import InitialValues
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
     LampCameras,
-    LampPoints,
-    lamp_irradiance,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import UPRIGHT, camera_rotations
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
@@ -78,21 +71,6 @@ MAX_COMPARED_POINTS = 12_000
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
 """Effort, at most, and share of the pixels of the short fits that choose initial values."""
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """The fitted parameters of a model."""
-
-    spec: ModelSpec
-    parameters: Parameters
-    views: tuple[int, ...] = ()
-    """Views that it was fitted to; per-texel values are solved from them."""
-
-    @property
-    def scene_parameters(self) -> Parameters:
-        """The parameters of its scene: the albedo in closed form."""
-        return self.parameters.with_closed_form_albedo
 
 
 @final
@@ -128,6 +106,9 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self._rotation = camera_rotations(capture, transport.surface.positions.device)
         self._cameras = LampCameras.of_capture(capture, transport.surface.positions)
         self._pixels = PhotographPixels(transport, capture, downsample, options, self._rotation, self._cameras)
+        self._initial_values = InitialValues(
+            transport, scene, capture, options, self._rotation, self._cameras, self._exposures_of
+        )
 
     def with_terms(self, terms: Sequence[WeightedTerm]) -> TransportSolver:
         """The same solver, whose fits at vertices and whose albedo textures minimise the terms too."""
@@ -218,7 +199,9 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             )
         parameters = self._initial_parameters(spec, initial, photographs)
         before = None if initial is None else initial.parameters
-        settings = settings_of_fit(self._options, spec, parameters, before, effort, self._has_uniform_guess(spec))
+        settings = settings_of_fit(
+            self._options, spec, parameters, before, effort, self._initial_values.is_uniform(spec)
+        )
         resumes = file is not None and file.has_state()
         scale_is_known = spec.light_is_known or (not spec.lamp and bool(measuring_views(self._capture)))
         candidates = initial_candidates(spec, parameters, before, scale_is_known)
@@ -346,7 +329,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
     def scene(self, fit: Fit, views: Sequence[int], report: Callable[[float], None]) -> Solved[AlbedoRefinement]:
         """Textures solved from all pixels, light as fitted."""
         on_camera = fit.spec.light_frame == "camera"
-        fit = replace(fit, parameters=self._at_measured_scale(fit))
+        fit = replace(fit, parameters=self._initial_values.at_measured_scale(fit))
         parameters = fit.scene_parameters
         if fit.spec.per_texel == "brdf":
             if self._terms:
@@ -426,142 +409,12 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         return FitTerms(self._terms, shown, self._transport.surface, self._transport.takes.count)
 
     def _initial_parameters(self, spec: ModelSpec, initial: Fit | None, photographs: ObservedPixels) -> Parameters:
-        """Parameters of a model, from an earlier fit or from the prepared scene."""
-        assert self._scene.material is not None and self._scene.environment is not None
-        if initial is None:
-            light = self._scene.environment.radiance.clamp(1e-6, MAX_RADIANCE).log()
-            light = self._light_of_takes(light, photographs, spec)
-            if spec.lamp:
-                light = light - math.log(2)  # the lamp is as bright as the rest
-            lamp = initial_lamp(light) if spec.lamp else None
-            if spec.brdf == "metallic" and self._has_uniform_guess(spec):
-                gain, diffuse = self._initial_metal(photographs, spec, light.exp(), lamp)
-                light = (light.exp() * gain).clamp(1e-6, MAX_RADIANCE).log()
-                lamp = None if lamp is None else torch.cat([lamp[:3] + gain.log(), lamp[3:]])
-            else:
-                diffuse = self._initial_albedo(photographs, spec, light.exp(), lamp)
-            base = Parameters(light, torch.logit(diffuse), None, None, lamp=lamp)
-            if spec.bounces and spec.brdf != "metallic" and not self._has_uniform_guess(spec):
-                base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
-        else:
-            base = self._at_measured_scale(initial)
-            lamp = initial_lamp(base.light) if spec.lamp and base.lamp is None else base.lamp
-            base = replace(base, lamp=lamp if spec.lamp else None)
-            if spec.bounces and not initial.spec.bounces:
-                base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
-        return self._with_exposures(spec, extended_to(spec, base, self._scene.material), photographs, initial)
-
-    def _light_of_takes(self, light: Tensor, photographs: ObservedPixels, spec: ModelSpec) -> Float[Tensor, "H W 3"]:
-        """The logarithm of an initial light, for each take as much brighter as its photographs are beside all, or
-        beside those of the take for whose light a card measured the brightness.
-        """
-        takes = self._transport.takes
-        if takes.of_view is None:
-            return light
-        light = light.repeat(takes.count, 1, 1)
-        arriving = self._arriving(photographs, spec, light.exp(), None)
-        color, view = photographs.color, photographs.points.view
-        if spec.exposures == "recorded":
-            recorded = self._recorded().to(color)
-            color = color / (recorded / recorded.log().mean().exp())[view]
-        take = takes.of_view[view]
-        levels = [color[take == n].mean() / arriving[take == n].mean() for n in range(takes.count)]
-        with_card = measuring_views(self._capture)
-        overall = color.mean() / arriving.mean()
-        reference = levels[self._capture.take_numbers[with_card[0]]] if with_card else overall
-        gains = torch.stack([level / reference for level in levels])
-        usable = torch.isfinite(gains) & (gains > 0)
-        gains = torch.where(usable, gains, torch.ones_like(gains)).log()
-        return light + gains.repeat_interleave(len(light) // takes.count)[:, None, None]
-
-    def _at_measured_scale(self, fit: Fit) -> Parameters:
-        """The parameters of a fit, as bright as a card measured the light; unchanged with a lamp, which lit the card in
-        each photograph from another side and at another distance.
-        """
-        if fit.spec.light_is_known or fit.spec.lamp:
-            return fit.parameters
-        rotation = UPRIGHT if fit.spec.light_frame == "camera" else None
-        return at_measured_scale(fit.parameters, fit.spec.light_frame, rotation, self._capture)
-
-    def _with_exposures(
-        self, spec: ModelSpec, parameters: Parameters, photographs: ObservedPixels, initial: Fit | None
-    ) -> Parameters:
-        """With exposures as the model has them.
-
-        Fitted ones start from colours of the same places; from the earlier fit, if there is one; and for views that it
-        did not have, from the photographs beside its prediction.
-        """
-        if spec.exposures == "equal":
-            return replace(parameters, log_exposure=None, exposure_take=None)
-        if spec.exposures == "recorded":
-            return replace(parameters, log_exposure=self._recorded().to(parameters.light).log(), exposure_take=None)
-        take = self._transport.takes.of_view
-        if initial is None:
-            eyes = np.stack([camera.center for camera in self._capture.cameras]).astype(np.float64)
-            # under another light a place has another colour, so places are compared within a take
-            parts = [photographs]
-            if take is not None:
-                numbers = take[photographs.points.view]
-                parts = [photographs.take((numbers == n).nonzero()[:, 0]) for n in range(self._transport.takes.count)]
-            found = torch.stack([initial_exposures(self._transport.surface, part, eyes) for part in parts]).sum(dim=0)
-            return replace(parameters, log_exposure=found, exposure_take=take)
-        found = parameters.light.new_zeros(len(self._capture.views), 3)
-        known = initial.views if initial.parameters.log_exposure is not None else ()
-        if initial.parameters.exposure is not None:
-            found[list(known)] = initial.parameters.exposure[list(known)].log()
-        if missing := [view for view in photographs.points.view.unique().tolist() if view not in known]:
-            found[missing] = self._exposures_of(initial, missing)[missing]
-        # the mean belongs to the light
-        mean, lamp = found.mean(dim=0), parameters.lamp
-        if lamp is not None:
-            lamp = torch.cat([lamp[:3] + mean, lamp[3:]])
-        light = parameters.light + mean
-        if take is not None:
-            views = [int((take == number).nonzero()[0]) for number in range(self._transport.takes.count)]
-            of_takes = mean_of_takes(found, take)[views]
-            rows = len(parameters.light) // self._transport.takes.count
-            light = parameters.light + of_takes.repeat_interleave(rows, dim=0)[:, None]
-        return replace(parameters, log_exposure=found, exposure_take=take, light=light, lamp=lamp)
-
-    def _recorded(self) -> Float[Tensor, "views 3"]:
-        recorded = [view.recorded_exposure for view in self._capture.views]
-        if None in recorded:
-            raise StageError("the photographs record no exposures; use reflectance.exposures=fitted or equal")
-        return torch.tensor(recorded)[:, None].repeat(1, 3)
+        return self._initial_values.parameters(spec, initial, photographs, self._grid(photographs))
 
     def _exposures_of(self, fit: Fit, views: Sequence[int]) -> Float[Tensor, "views 3"]:
         """Logarithms of the photographs' brightness beside the radiance that a fit predicts."""
         predicted = self._predicted(fit, self._pixels.compared(views))
         return median_exposures(predicted, len(self._capture.views)).to(fit.parameters.light)
-
-    def _has_uniform_guess(self, spec: ModelSpec) -> bool:
-        return self._options.initial_albedo == "uniform" and not spec.light_is_known
-
-    def _initial_albedo(
-        self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor, lamp: Tensor | None
-    ) -> Float[Tensor, "V 3"]:
-        arriving = self._arriving(photographs, spec, light, lamp)
-        uniform = self._has_uniform_guess(spec)
-        return initial_albedo(self._transport, photographs, arriving, uniform, self._grid(photographs))
-
-    def _initial_metal(
-        self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor, lamp: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        arriving = self._arriving(photographs, spec, light, lamp)
-        return initial_metal(self._transport, photographs, arriving, bool(measuring_views(self._capture)))
-
-    def _arriving(
-        self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor, lamp: Tensor | None
-    ) -> Float[Tensor, "P 3"]:
-        """Irradiance of pixels under an initial light, without indirect light."""
-        rotation = self._rotation if spec.light_frame == "camera" else None
-        arriving = direct_irradiance(self._transport, photographs, light, rotation, self._options.diffuse_samples)
-        if lamp is None:
-            return arriving
-        shown = Parameters(light, light, None, None, lamp=lamp).camera_lamp
-        assert shown is not None
-        points = LampPoints.of(photographs.points, self._cameras, self._transport.tracer, self._transport.offset)
-        return arriving + lamp_irradiance(points, shown)
 
     def _grid(self, photographs: ObservedPixels) -> GradientGrid | None:
         """The grid of a fit to these pixels; the last one is cached."""

@@ -12,12 +12,12 @@ from benchmarks.alternation import LightProblem
 from benchmarks.remaining_error import seen_from
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import (
     refresh_matrices,
     specular_matrices,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit
 from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo import solver_of
 
 

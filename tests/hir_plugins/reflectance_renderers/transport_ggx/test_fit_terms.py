@@ -23,6 +23,7 @@ from hir_core.stages.atlas import unwrap_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms, material_at_vertices
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import (
     PIXEL_TERM,
     fit,
@@ -33,7 +34,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.proximal_step import pr
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
-from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 from tests.fixtures.made_captures import around, lamps, make_material
 from tests.fixtures.scenes import icosphere, looking_at
 

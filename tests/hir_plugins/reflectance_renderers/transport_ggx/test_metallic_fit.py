@@ -19,6 +19,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo impo
     solve_albedo,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.mini_batches import MiniBatches
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.photograph_pixels import METAL_DIRECTIONS
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import (
@@ -38,7 +39,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
-from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 from tests.fixtures.made_captures import TEXELS, around, ball, bowl, lamps, painted, photographs
 
 OPTIONS = TransportGGXOptions(vertices=0, cache_cells=300, samples=8, steps=120)

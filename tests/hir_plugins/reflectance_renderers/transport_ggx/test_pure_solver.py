@@ -20,13 +20,14 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Material, Scene
 from hir_core.stages.atlas import unwrap_mesh
 from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels import photograph_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
-from hir_plugins.reflectance_renderers.transport_ggx.solver import Fit, TransportSolver
+from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 from tests.fixtures.made_captures import BROWN, TEXELS, around, bowl, lamps, make_material, photographs
 
 VIEWS = range(6)
