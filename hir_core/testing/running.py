@@ -32,6 +32,8 @@ _MODULES = (
     "regularizer_checks",
     "geometry_renderer_checks",
     "reflectance_renderer_checks",
+    "reflectance_light_checks",
+    "reflectance_gradient_checks",
     "solver_checks",
     "initializer_checks",
     "capture_reader_checks",
