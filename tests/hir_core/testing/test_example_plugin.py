@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.fixtures.virtual_environments import EXAMPLE, ROOT, environment_python, message, packages_of
+from tests.fixtures.runs import QUICK
+from tests.fixtures.virtual_environments import EXAMPLE, environment_python, message, packages_of
 
 
 @pytest.fixture(scope="module")
@@ -64,31 +65,18 @@ def test_its_own_tests_pass(python: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_it_is_used_by_a_run_and_an_export(python: Path, tmp_path: Path) -> None:
-    quick = [
-        "geometry.iterations=10",
-        "geometry.levels=1",
-        "geometry.triangles=1200",
-        "atlas.texture_size=64",
+def test_it_is_used_by_a_run_and_an_export(python: Path, tiny_capture: Path, tmp_path: Path) -> None:
+    settings = (
+        *QUICK,
         "geometry.renderer=midpoint_outline",
-        "initializer.visual_hull.max_resolution=32",
-        "geometry.downsample=4",
-        "reflectance.model=diffuse",
-        "reflectance.light_frame=world",
-        "reflectance.environment_height=8",
-        "reflectance.environment_width=16",
         "reflectance.method=gradient",
         "reflectance.gradient.iterations=10",
-        "reflectance.downsample=4",
-        "reflectance_renderer.transport_ggx.cache_cells=300",
-        "reflectance_renderer.transport_ggx.vertices=1500",
         "reflectance.regularizers.light_chroma.weight=10",
         'export=["ply"]',
-    ]
-    assignments = [word for setting in quick for word in ("--set", setting)]
+    )
+    assignments = [word for setting in settings for word in ("--set", setting)]
     run = tmp_path / "run"
-    capture = ROOT / "examples" / "sample_capture"
-    message(python, "-m", "hir_core.cli", "reconstruct", capture, "-o", run, "-q", *assignments, folder=tmp_path)
+    message(python, "-m", "hir_core.cli", "reconstruct", tiny_capture, "-o", run, "-q", *assignments, folder=tmp_path)
     document = json.loads((run / "run.json").read_text())
     assert document["settings"]["geometry"]["renderer"] == "midpoint_outline"
     assert any("light_chroma (hir-plugin-example 0.1.0)" in plugin for plugin in document["plugins"])

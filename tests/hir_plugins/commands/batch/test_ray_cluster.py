@@ -18,7 +18,7 @@ from benchmarks.batch.fault_injection import FaultScenario, add_node, run_fault_
 from benchmarks.batch.small_captures import SETTINGS_ARGUMENTS, make_small_captures
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(os.name != "posix", reason="signals")]
-CAPTURES = 12
+CAPTURES = 8
 
 
 @pytest.fixture(scope="module")
