@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from hir_exporters.textures.image_files import write_hdr, write_png
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from benchmarks.hir_command import hir
 from benchmarks.materials.lights import LIGHTS, light_image
@@ -250,21 +251,34 @@ def _run(folder: Path, seed: int, name: str) -> Path:
 
 def completeness(finished: FinishedRun, folder: Path, plugins: PluginManager) -> dict[str, float]:
     """Shares of the true surface that are nearer than `NEAR` radii to the reconstructed one: `complete` of all that the
-    photographs of any take see, `underside` of what only those of the object that is turned over see.
+    photographs of any take see, `underside` of what only those of the object that is turned over see, and
+    `underside_on_hull` of that part of the underside that lies on the convex hull: without its holes and grooves.
     """
     truth = true_mesh(folder / "two" / "reference.obj", finished)
     low, high = truth[0].min(axis=0), truth[0].max(axis=0)
     points, normals = sample_surface(*truth, 50_000, seed=1)
     mesh = finished.scene.mesh
     distance, _ = MeshQueries(mesh.positions.detach().cpu().numpy(), mesh.faces.cpu().numpy()).nearest(points)
-    near = distance < NEAR * 0.5 * np.linalg.norm(high - low)
+    reach = NEAR * 0.5 * float(np.linalg.norm(high - low))
+    near = distance < reach
     one, two = (finished.read_split(folder / name, "train", plugins) for name in ("one", "two"))
     seen_above = visible(points, normals, truth, one.cameras)
     anywhere = seen_above | visible(points, normals, truth, two.cameras)
+    underside = anywhere & ~seen_above
     return {
         "complete": round(float(near[anywhere].mean()), 4),
-        "underside": round(float(near[anywhere & ~seen_above].mean()), 4),
+        "underside": round(float(near[underside].mean()), 4),
+        "underside_on_hull": round(float(near[underside & (depth_in_hull(points, truth[0]) < reach)].mean()), 4),
     }
+
+
+def depth_in_hull(points: NDArray[np.float64], vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far each point (N, 3) lies inside of the convex hull of vertices (V, 3), in their units."""
+    planes = ConvexHull(vertices).equations
+    depth = np.full(len(points), np.inf)
+    for plane in np.unique(planes.round(9), axis=0):
+        np.minimum(depth, -(points @ plane[:3] + plane[3]), out=depth)
+    return depth
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
@@ -273,10 +287,10 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     """
     lines = [
         "| object | texture | pixels | photographs | seed | unseen | relit, scaled (mean of two lights) | "
-        "base colour, scaled | complete | underside |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "base colour, scaled | complete | underside | underside on the convex hull |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    forms = ".1f", ".1f", ".1f", ".3f", ".3f"
+    forms = ".1f", ".1f", ".1f", ".3f", ".3f", ".3f"
     groups: dict[tuple[str, str, int, int, int], dict[str, dict[str, Any]]] = {}
     for row in rows:
         key = row["recipe"], row["texture"], row["side"], row["photographs"], row["seed"]
@@ -288,12 +302,13 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             gains.append(figures["two"] - figures["one"])
         cells = []
         for i, form in enumerate(forms):
-            one, two, estimated = (f"{figures[name][i]:{form}}" if name in figures else "–" for name in RUNS)
-            cells.append(f"{one} → {two}" + (f" ({estimated})" if "estimated" in figures else ""))
+            found = {name: float(values[i]) for name, values in figures.items() if np.isfinite(values[i])}
+            one, two, estimated = (f"{found[name]:{form}}" if name in found else "–" for name in RUNS)
+            cells.append(f"{one} → {two}" + (f" ({estimated})" if "estimated" in found else ""))
         lines.append(f"| {recipe} | {texture} | {side} | {photographs} | {seed} | " + " | ".join(cells) + " |")
     if len(gains) > 1:
         mean, deviation = np.mean(gains, axis=0), np.std(gains, axis=0, ddof=1)
-        cells = [f"{m:+.2f} ± {s:.2f}" for m, s in zip(mean, deviation, strict=True)]
+        cells = [f"{m:+.2f} ± {s:.2f}" if np.isfinite(m) else "–" for m, s in zip(mean, deviation, strict=True)]
         lines.append("| two − one | | | | | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
@@ -301,6 +316,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 def _values(row: dict[str, Any]) -> NDArray[np.float64]:
     relit = np.mean([row["relit_scaled"][light]["frame"] for light in RELIGHTS])
     figures = row["unseen"]["frame"], relit, row["base_color_scaled"], row["complete"], row["underside"]
+    figures += (row.get("underside_on_hull", np.nan),)  # rows of before 2026-11-29 lack it
     return np.array(figures, dtype=np.float64)
 
 

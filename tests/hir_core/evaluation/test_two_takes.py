@@ -101,7 +101,16 @@ def test_the_table_has_means_of_the_gain() -> None:
     assert (
         "30.0 → 31.0 (30.5)" in lines[2] and "| +2.00 ± 1.41 |" in lines[-1] and "0.500 → 0.600 (0.550) |" in lines[2]
     )
+    assert all(line.endswith(" – → – |") for line in lines[2:5]), "rows without the share on the hull have a dash"
     assert "| 80 | 0 |" in lines[3] and "30.0 → – |" in lines[3] and len(lines) == 6
+
+
+def test_points_in_a_hole_are_deep_in_the_convex_hull() -> None:
+    """Of a cube with a hole: its faces are on the hull, the middle of the hole is 0.9 inside, a point above outside."""
+    cube = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    points = np.array([(1.0, 0.3, 0.2), (0.1, 0.0, 0.0), (0.5, -0.7, 0.2), (0.0, 0.0, 1.5)])
+    found = two_takes.depth_in_hull(points, np.concatenate([cube, 0.1 * cube]))
+    np.testing.assert_allclose(found, [0.0, 0.9, 0.3, -0.5], atol=1e-9)
 
 
 def test_dots_darken_a_part_of_the_base_colour() -> None:
