@@ -53,8 +53,8 @@ def select_exposures(
     """Compares exposures with the simplest hypothesis under each light; `recorded`: whether photographs record any.
 
     Exposures are fitted only where held-out views are nearer at exposures of their own, or where colours of the same
-    places `differ` between photographs: then any gain is enough. `later_cost`: expected cost of what follows, for the
-    progress.
+    places `differ` between photographs: then held-out views must not lose. `later_cost`: expected cost of what follows,
+    for the progress.
     """
     specs = simplest_under_each_light(hypotheses)
     fits.expect(2 * len(specs) * fit_cost(specs[0], BUDGET.effort, BUDGET.pixel_share) + later_cost)
@@ -88,8 +88,7 @@ class _ExposureComparison(Generic[FitT, RefinementT]):
     def _decide(self, exposures: Exposures, control: FoldedFit[FitT], differ: bool = False) -> None:
         candidate = self._best_with(exposures)
         before, gain = self.selected.exposures, paired_gain(control.errors, candidate.errors)
-        # a simple model explains too little for a significant gain; what the colours say is independent of it
-        accepted = gains_by_exposures(control, candidate) or (differ and gain[0] > 0)
+        accepted = gains_by_exposures(control, candidate, differ)
         self.selected = ExposureSelection(exposures if accepted else before, before, *gain, len(control.errors))
         if accepted:
             self._best = candidate
@@ -143,9 +142,15 @@ def exposures_may_differ(fit: FoldedFit[FitT], own: FoldedFit[FitT]) -> bool:
     return is_significant(*paired_gain(fit.errors, own.errors), len(own.errors))
 
 
-def gains_by_exposures(before: FoldedFit[FitT], after: FoldedFit[FitT]) -> bool:
-    """Whether held-out views gain so much that exposures explain it."""
+def gains_by_exposures(before: FoldedFit[FitT], after: FoldedFit[FitT], differ: bool = False) -> bool:
+    """Whether held-out views gain so much that exposures explain it.
+
+    Where colours of the same places `differ` between photographs, it is enough that held-out views do not lose: a model
+    that explains too little shows no gain, and the colours are evidence that does not depend on it.
+    """
     gain, standard_error = paired_gain(before.errors, after.errors)
+    if differ:
+        return not is_significant(-gain, standard_error, len(after.errors))
     return is_significant(gain, standard_error, len(after.errors), REQUIRED_STANDARD_ERRORS_OF_EXPOSURES)
 
 
