@@ -84,7 +84,7 @@ def lines() -> Iterator[str]:
         yield f"method hir_core.plugins.manager.PluginManager.{name}{_signature(getattr(PluginManager, name))}"
     for kind, arguments in TRAITS.items():
         yield f"traits {kind}: {' '.join(sorted(arguments)) or '-'}"
-    for check in all_checks().values():
+    for _, check in sorted(all_checks().items()):
         traits = [*sorted(check.traits), *(f"not {trait}" for trait in sorted(check.unless))]
         yield f"check {check.name}: {' '.join(sorted(check.kinds))}{' if ' + ', '.join(traits) if traits else ''}"
 

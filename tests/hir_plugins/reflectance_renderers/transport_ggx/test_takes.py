@@ -303,7 +303,7 @@ def test_a_card_in_one_take_gives_the_scale_of_all_lights(made: tuple[Scene, Cap
         measured = replace(capture, irradiance=MeasuredIrradiance(up, values))
         solver = prepared(scene, measured)
         fit = solver.fit(ModelSpec(), None, range(8), 0.5, lambda share: None)
-        parameters = solver._at_measured_scale(fit)
+        parameters = solver._initial_values.at_measured_scale(fit)
         lights = solver._transport.lights(parameters.radiance)
         shown = card_irradiance(EnvironmentMap(lights[1]), measured).mean()
         assert float(shown) == pytest.approx(2 * factor, rel=1e-3)
