@@ -25,6 +25,7 @@ from hir_core.metrics import (
     composite,
     mask_iou,
     mean,
+    nearest_exposure,
     psnr,
     unassociate,
 )
@@ -158,9 +159,7 @@ def evaluate_run(
 
 def _own_exposure(fit: Image, photograph: MaskedPhotograph, inside: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Brightness and white balance that bring a render nearest to its photograph, where exposures were fitted."""
-    scale = ChannelScale()
-    scale.add(unassociate(fit)[0][inside], photograph.color_linear[inside])
-    return scale.value
+    return nearest_exposure(unassociate(fit)[0][inside], photograph.color_linear[inside])
 
 
 def _file_names(views: Sequence[View]) -> list[str]:

@@ -3,6 +3,7 @@
 from hir_core.metrics.image_metrics import (
     OBJECT_COVERAGE,
     PSNR_MAX,
+    SRGB_POWER,
     ChannelScale,
     Figures,
     Image,
@@ -11,6 +12,7 @@ from hir_core.metrics.image_metrics import (
     composite,
     mask_iou,
     mean,
+    nearest_exposure,
     psnr,
     psnr_without_noise,
     ssim,
@@ -20,6 +22,7 @@ from hir_core.metrics.image_metrics import (
 __all__ = [
     "OBJECT_COVERAGE",
     "PSNR_MAX",
+    "SRGB_POWER",
     "ChannelScale",
     "Figures",
     "Image",
@@ -28,6 +31,7 @@ __all__ = [
     "composite",
     "mask_iou",
     "mean",
+    "nearest_exposure",
     "psnr",
     "psnr_without_noise",
     "ssim",

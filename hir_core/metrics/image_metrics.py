@@ -25,6 +25,9 @@ Perceptual = Callable[[Image, Image], float]
 OBJECT_COVERAGE: Final = 0.5
 """True coverage above which a pixel belongs to the object."""
 
+SRGB_POWER: Final = 2.4
+"""Of the curve of sRGB above its toe (IEC 61966-2-1)."""
+
 PSNR_MAX: Final = 100.0
 """dB for equal images; infinity would make every mean infinite."""
 
@@ -112,6 +115,17 @@ class ChannelScale:
     def value(self) -> NDArray[np.float64]:
         """The scale; 1 where the fit is black."""
         return np.where(self._power > 0, self._product / np.maximum(self._power, 1e-300), 1.0)
+
+
+def nearest_exposure(fit_linear: Image, true_linear: Image) -> NDArray[np.float64]:
+    """The factor (3,) per channel that brings linear colours (N, 3) of a fit nearest to those of a photograph, as sRGB.
+
+    A power of 1/2.4 stands for the curve of sRGB, which has this power above its toe: then least squares have a closed
+    form. With squares of linear colours a few highlights would decide. 1 where the fit is black.
+    """
+    fit, truth = (np.maximum(np.asarray(c, np.float64), 0) ** (1 / SRGB_POWER) for c in (fit_linear, true_linear))
+    power, product = (fit * fit).sum(axis=0), (fit * truth).sum(axis=0)
+    return np.asarray(np.where(power > 0, product / np.maximum(power, 1e-300), 1.0) ** SRGB_POWER)
 
 
 @dataclass(frozen=True)

@@ -188,3 +188,26 @@ def test_psnr_of_a_picture_with_a_pixel_that_is_not_finite_is_refused(pictures: 
         inside = np.ones(truth.shape[:2], bool)
         inside[3, 4] = False
         assert metrics.psnr(broken, truth, inside) == metrics.psnr(fit, truth, inside), "only compared pixels matter"
+
+
+@pytest.mark.parametrize("missed", [0.0, 0.03], ids=["exact", "missed highlights"])
+def test_the_nearest_exposure_has_the_least_error_in_srgb(missed: float) -> None:
+    """Where the fit lacks a few highlights, too; least squares of linear colours would be far off there."""
+    generator = np.random.default_rng(3)
+    fit = generator.uniform(0.02, 0.3, (2000, 3))
+    factors = np.array([0.8, 1.0, 1.3])
+    truth = np.clip(fit * factors, 0, 1)
+    truth[: round(missed * len(truth))] = 0.95
+    found = metrics.nearest_exposure(fit.astype(np.float32), truth.astype(np.float32))
+    tried = np.linspace(0.6, 2.0, 1401)
+    errors = [((linear_to_srgb(np.clip(f * fit, 0, 1)) - linear_to_srgb(truth)) ** 2).mean(axis=0) for f in tried]
+    np.testing.assert_allclose(found, tried[np.argmin(errors, axis=0)], rtol=0.01)
+    if not missed:
+        np.testing.assert_allclose(found, factors, rtol=1e-5)
+
+
+def test_the_nearest_exposure_is_finite_for_what_is_black() -> None:
+    black, grey = np.zeros((4, 3), np.float32), np.full((4, 3), 0.5, np.float32)
+    assert metrics.nearest_exposure(black, grey).tolist() == [1, 1, 1]
+    assert metrics.nearest_exposure(grey, black).tolist() == [0, 0, 0]
+    assert metrics.nearest_exposure(grey[:0], grey[:0]).tolist() == [1, 1, 1]

@@ -9,19 +9,25 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture.relative_exposures import DARKEST
+from hir_core.metrics import SRGB_POWER
 from hir_core.scene.srgb import srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import PixelColors
 
 
 def own_exposures(pixels: PixelColors, radiance: Tensor, views: int) -> Float[Tensor, "views 3"]:
-    """The factors that bring each view's radiance closest to its photograph; a held-out view has no fitted ones."""
+    """The factors that bring each view's radiance closest to its photograph; a held-out view has no fitted ones.
+
+    As sRGB, like the errors that are compared: `hir_core.metrics.nearest_exposure` of each view.
+    """
     known = ~pixels.saturated
-    photograph = srgb_to_linear(pixels.color_srgb)
-    above, below = (
-        radiance.new_zeros(views, 3).index_add(0, pixels.view, radiance * other * known)
-        for other in (photograph, radiance)
+    photograph, predicted = (
+        color.clamp_min(0) ** (1 / SRGB_POWER) for color in (srgb_to_linear(pixels.color_srgb), radiance)
     )
-    return torch.where(below > 0, above / below.clamp_min(1e-12), torch.ones_like(below))
+    above, below = (
+        radiance.new_zeros(views, 3).index_add(0, pixels.view, predicted * other * known)
+        for other in (photograph, predicted)
+    )
+    return torch.where(below > 0, above / below.clamp_min(1e-12), torch.ones_like(below)) ** SRGB_POWER
 
 
 def median_exposures(predicted: Iterable[tuple[PixelColors, Tensor]], views: int) -> Float[Tensor, "views 3"]:

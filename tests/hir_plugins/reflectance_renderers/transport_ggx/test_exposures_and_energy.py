@@ -11,8 +11,12 @@ import torch
 
 from hir_core.capture import Capture, Pixels, View
 from hir_core.capture.relative_exposures import without_reflections
+from hir_core.metrics import nearest_exposure
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene
+from hir_core.scene.srgb import linear_to_srgb
+from hir_plugins.reflectance_renderers.transport_ggx.fit.exposures import own_exposures
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import PixelColors
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_exposures import initial_exposures
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
@@ -103,6 +107,19 @@ def test_highlights_count_little_in_first_exposures() -> None:
 
     found = first_exposures(replace(capture, views=tuple(map(brighter, capture.views))), scene)
     np.testing.assert_allclose(found, FACTORS / np.exp(np.log(FACTORS).mean(axis=0)), rtol=0.02)
+
+
+def test_own_exposures_are_those_of_the_evaluation_for_each_view() -> None:
+    generator = torch.Generator().manual_seed(4)
+    view = torch.arange(300) % 3  # the fourth view has no pixels
+    color, radiance = torch.rand(300, 3, generator=generator), torch.rand(300, 3, generator=generator)
+    saturated = (color > 0.9).any(dim=1, keepdim=True).expand(-1, 3)
+    pixels = PixelColors(linear_to_srgb(color), saturated, view, torch.ones(300))
+    found = own_exposures(pixels, radiance, 4).numpy()
+    for i in range(3):
+        rows = (view == i) & ~saturated[:, 0]
+        np.testing.assert_allclose(found[i], nearest_exposure(radiance[rows].numpy(), color[rows].numpy()), rtol=1e-4)
+    assert found[3].tolist() == [1, 1, 1]
 
 
 def test_a_view_without_pixels_has_the_mean_exposure() -> None:
