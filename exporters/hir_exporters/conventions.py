@@ -19,6 +19,9 @@ LUMINANCE_WEIGHTS: Final[NDArray[np.float64]] = np.array([0.2126, 0.7152, 0.0722
 """Rec. 709 luminance of linear RGB."""
 LUMINANCE_WEIGHTS.setflags(write=False)
 
+SRGB_POWER: Final = 2.4
+"""Of the curve of sRGB above its linear segment (IEC 61966-2-1)."""
+
 ALPHA_MIN: Final = 1e-4
 """Smallest GGX width that a material may have; below it, float32 cannot distinguish the lobe from a mirror."""
 
@@ -29,14 +32,14 @@ def srgb_to_linear(encoded: ArrayLike) -> NDArray[np.floating]:
     float32 stays float32, all other types become float64.
     """
     x = _floating(encoded)
-    curved = ((np.maximum(x, 0.0) + 0.055) / 1.055) ** 2.4
+    curved = ((np.maximum(x, 0.0) + 0.055) / 1.055) ** SRGB_POWER
     return np.where(x <= 0.04045, x / 12.92, curved).astype(x.dtype, copy=False)
 
 
 def linear_to_srgb(linear: ArrayLike) -> NDArray[np.floating]:
     """Inverse of `srgb_to_linear`; values above 1 follow the curve, values below 0 the linear segment."""
     x = _floating(linear)
-    curved = 1.055 * np.maximum(x, 0.0) ** (1.0 / 2.4) - 0.055
+    curved = 1.055 * np.maximum(x, 0.0) ** (1.0 / SRGB_POWER) - 0.055
     return np.where(x <= 0.0031308, x * 12.92, curved).astype(x.dtype, copy=False)
 
 

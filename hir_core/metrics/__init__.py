@@ -3,7 +3,6 @@
 from hir_core.metrics.image_metrics import (
     OBJECT_COVERAGE,
     PSNR_MAX,
-    SRGB_POWER,
     ChannelScale,
     Figures,
     Image,
@@ -22,7 +21,6 @@ from hir_core.metrics.image_metrics import (
 __all__ = [
     "OBJECT_COVERAGE",
     "PSNR_MAX",
-    "SRGB_POWER",
     "ChannelScale",
     "Figures",
     "Image",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.conventions import SRGB_POWER, linear_to_srgb
 from numpy.typing import NDArray
 
 from hir_core.errors import InputError
@@ -24,9 +24,6 @@ Perceptual = Callable[[Image, Image], float]
 
 OBJECT_COVERAGE: Final = 0.5
 """True coverage above which a pixel belongs to the object."""
-
-SRGB_POWER: Final = 2.4
-"""Of the curve of sRGB above its toe (IEC 61966-2-1)."""
 
 PSNR_MAX: Final = 100.0
 """dB for equal images; infinity would make every mean infinite."""

@@ -49,9 +49,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_guess i
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.initial.initial_values import InitialValues
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
-    LampCameras,
-)
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import LampCameras
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import UPRIGHT, camera_rotations
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
@@ -200,7 +198,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         parameters = self._initial_parameters(spec, initial, photographs)
         before = None if initial is None else initial.parameters
         settings = settings_of_fit(
-            self._options, spec, parameters, before, effort, self._initial_values.is_uniform(spec)
+            self._options, spec, parameters, before, effort, self._initial_values.guess_is_uniform(spec)
         )
         resumes = file is not None and file.has_state()
         scale_is_known = spec.light_is_known or (not spec.lamp and bool(measuring_views(self._capture)))

@@ -106,7 +106,7 @@ def test_the_table_has_means_of_the_gain() -> None:
 
 
 def test_points_in_a_hole_are_deep_in_the_convex_hull() -> None:
-    """Of a cube with a hole: its faces are on the hull, the middle of the hole is 0.9 inside, a point above outside."""
+    """Of a cube of radius 1: faces are on the hull, a point in a hole lies 0.9 inside, one above the cube outside."""
     cube = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     points = np.array([(1.0, 0.3, 0.2), (0.1, 0.0, 0.0), (0.5, -0.7, 0.2), (0.0, 0.0, 1.5)])
     found = two_takes.depth_in_hull(points, np.concatenate([cube, 0.1 * cube]))

@@ -88,7 +88,7 @@ class _ExposureComparison(Generic[FitT, RefinementT]):
     def _decide(self, exposures: Exposures, control: FoldedFit[FitT], differ: bool = False) -> None:
         candidate = self._best_with(exposures)
         before, gain = self.selected.exposures, paired_gain(control.errors, candidate.errors)
-        accepted = gains_by_exposures(control, candidate, differ)
+        accepted = exposures_are_confirmed(control, candidate, differ)
         self.selected = ExposureSelection(exposures if accepted else before, before, *gain, len(control.errors))
         if accepted:
             self._best = candidate
@@ -142,8 +142,8 @@ def exposures_may_differ(fit: FoldedFit[FitT], own: FoldedFit[FitT]) -> bool:
     return is_significant(*paired_gain(fit.errors, own.errors), len(own.errors))
 
 
-def gains_by_exposures(before: FoldedFit[FitT], after: FoldedFit[FitT], differ: bool = False) -> bool:
-    """Whether held-out views gain so much that exposures explain it.
+def exposures_are_confirmed(before: FoldedFit[FitT], after: FoldedFit[FitT], differ: bool = False) -> bool:
+    """Whether held-out views confirm the exposures of `after`: they gain so much that exposures explain it.
 
     Where colours of the same places `differ` between photographs, it is enough that held-out views do not lose: a model
     that explains too little shows no gain, and the colours are evidence that does not depend on it.

@@ -14,8 +14,8 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.reflectance.selection.exposure_selection import (
     ExposureSelection,
     at_own_exposures,
+    exposures_are_confirmed,
     exposures_may_differ,
-    gains_by_exposures,
 )
 from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits, gain_of
@@ -81,13 +81,13 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def compare_exposures_again(self, selection: ExposureSelection, differ: bool = False) -> ExposureSelection:
         """Selects simpler exposures unless fitted ones gain, with every held-out view at an exposure of its own.
 
-        Where colours of the same places `differ` between photographs fitted ones must not lose, as before the
+        Where colours of the same places `differ` between photographs, fitted ones stay unless they lose, as before the
         hypotheses.
         """
         candidate, _, _ = self._against_control(replace(self.spec, exposures=selection.before))
         own = at_own_exposures(self._fits, candidate)
         gain, standard_error = paired_gain(own.errors, self.fit.errors)
-        needed = gains_by_exposures(own, self.fit, differ)
+        needed = exposures_are_confirmed(own, self.fit, differ)
         self._record(replace(own, spec=candidate.spec), -gain, standard_error, accepted=not needed)
         if not needed:
             self.fit, self._has_control = candidate, False
@@ -105,7 +105,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         candidate, _, _ = self._against_control(replace(self.spec, exposures="fitted"))
         control = at_own_exposures(self._fits, self.fit)
         gain = paired_gain(control.errors, candidate.errors)
-        accepted = gains_by_exposures(control, candidate, differ)
+        accepted = exposures_are_confirmed(control, candidate, differ)
         if accepted:
             self.fit, self._has_control = candidate, False
         self._record(candidate, *gain, accepted=accepted)

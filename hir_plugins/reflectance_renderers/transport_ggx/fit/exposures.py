@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import torch
+from hir_exporters.conventions import SRGB_POWER
 from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture.relative_exposures import DARKEST
-from hir_core.metrics import SRGB_POWER
 from hir_core.scene.srgb import srgb_to_linear
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_batches import PixelColors
 

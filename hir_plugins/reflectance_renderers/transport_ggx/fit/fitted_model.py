@@ -1,4 +1,4 @@
-"""What a fit of values at vertices results in."""
+"""The result of a fit: a model and its parameters."""
 
 from __future__ import annotations
 

@@ -76,14 +76,14 @@ class InitialValues:
             if spec.lamp:
                 light = light - math.log(2)  # the lamp is as bright as the rest
             lamp = initial_lamp(light) if spec.lamp else None
-            if spec.brdf == "metallic" and self.is_uniform(spec):
+            if spec.brdf == "metallic" and self.guess_is_uniform(spec):
                 gain, diffuse = self._metal(photographs, spec, light.exp(), lamp)
                 light = (light.exp() * gain).clamp(1e-6, MAX_RADIANCE).log()
                 lamp = None if lamp is None else torch.cat([lamp[:3] + gain.log(), lamp[3:]])
             else:
                 diffuse = self._albedo(photographs, spec, light.exp(), lamp, grid)
             base = Parameters(light, torch.logit(diffuse), None, None, lamp=lamp)
-            if spec.bounces and spec.brdf != "metallic" and not self.is_uniform(spec):
+            if spec.bounces and spec.brdf != "metallic" and not self.guess_is_uniform(spec):
                 base = replace(base, diffuse=without_indirect(self._transport, base, spec.bounces))
         else:
             base = self.at_measured_scale(initial)
@@ -171,8 +171,8 @@ class InitialValues:
             raise StageError("the photographs record no exposures; use reflectance.exposures=fitted or equal")
         return torch.tensor(recorded)[:, None].repeat(1, 3)
 
-    def is_uniform(self, spec: ModelSpec) -> bool:
-        """Whether a first fit of the model starts from one albedo everywhere."""
+    def guess_is_uniform(self, spec: ModelSpec) -> bool:
+        """Whether the first fit of the model has one albedo everywhere as its initial guess."""
         return self._options.initial_albedo == "uniform" and not spec.light_is_known
 
     def _albedo(
@@ -184,7 +184,7 @@ class InitialValues:
         grid: GradientGrid | None,
     ) -> Float[Tensor, "V 3"]:
         arriving = self._arriving(photographs, spec, light, lamp)
-        return initial_albedo(self._transport, photographs, arriving, self.is_uniform(spec), grid)
+        return initial_albedo(self._transport, photographs, arriving, self.guess_is_uniform(spec), grid)
 
     def _metal(
         self, photographs: ObservedPixels, spec: ModelSpec, light: Tensor, lamp: Tensor | None
