@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hir_core.capture.capture_size import size_of
+from hir_core.capture.photograph_exposures import check_recorded_exposures, with_recorded_exposures
 from hir_core.capture.pixel_cache import PixelCache
 from hir_core.config import RunConfig, load_config
 from hir_core.errors import CaptureError
@@ -145,6 +146,8 @@ def prepare(
         capture = read_capture(path, "train", plugins, config.reader)
     if not capture.views:
         raise CaptureError(f"{path} holds no photographs to fit; is it the folder of a capture?")
+    if config.reflectance.enabled and config.reflectance.exposures == "recorded":
+        check_recorded_exposures(with_recorded_exposures(capture))  # before the minutes of the first stages
     memory = plan_memory(config, plugins, size_of(capture))
     for change in memory.changes:
         on_message(f"to stay within {gigabytes(memory.limit)} of memory: {change}")

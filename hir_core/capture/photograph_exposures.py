@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture.capture import Capture, View
 from hir_core.capture.exif import camera_record
+from hir_core.errors import CaptureError
 
 Exposures: TypeAlias = Literal["equal", "recorded", "fitted"]
 """Brightness of the photographs beside each other: all are equal; `View.recorded_exposure`; or a brightness and a white
@@ -88,6 +89,15 @@ def with_recorded_exposures(capture: Capture) -> Capture:
         return capture
     views = (replace(v, recorded_exposure=each) for v, each in zip(capture.views, recorded, strict=True))
     return replace(capture, views=tuple(views))
+
+
+def check_recorded_exposures(capture: Capture) -> None:
+    """`CaptureError` unless each view has a recorded exposure (`with_recorded_exposures`)."""
+    if any(view.recorded_exposure is None for view in capture.views):
+        raise CaptureError(
+            f"{capture.path}: the photographs record no different exposures in their EXIF data; use "
+            "--set reflectance.exposures=fitted or auto"
+        )
 
 
 def recorded_exposure(view: View) -> float | None:

@@ -82,3 +82,11 @@ def test_an_object_that_is_clipped_everywhere_is_refused_and_one_pixel_suffices(
     write_png(path, picture)
     run = quick(capture, tmp_path / "other", "geometry.enabled=false", until="reflectance")
     assert run.directory.record("reflectance")
+
+
+def test_recorded_exposures_that_are_missing_are_refused_before_the_first_stage(
+    tiny_capture: Path, quick: Callable[..., Run], tmp_path: Path
+) -> None:
+    with pytest.raises(CaptureError, match=r"record no different exposures .* use --set reflectance\.exposures=fitted"):
+        quick(tiny_capture, tmp_path / "run", "reflectance.exposures=recorded")
+    assert not list((tmp_path / "run").glob("stages/*"))

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import Generic
 
 from hir_core.capture import Capture
-from hir_core.capture.photograph_exposures import Exposures
+from hir_core.capture.photograph_exposures import Exposures, check_recorded_exposures
 from hir_core.config import ReflectanceSettings
-from hir_core.errors import CaptureError, ConfigError
+from hir_core.errors import ConfigError
 from hir_core.mesh.exposure_differences import exposure_corrections
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
@@ -118,11 +118,8 @@ def exposures_to_compare(
             f"reflectance.exposures is {settings.exposures!r}, which the fit of {renderer!r} does not support; choose "
             "another reflectance.renderer, reflectance.method=auto or reflectance.exposures=equal"
         )
-    if settings.exposures == "recorded" and not recorded:
-        raise CaptureError(
-            f"{capture.path}: the photographs record no different exposures in their EXIF data; use "
-            "--set reflectance.exposures=fitted or auto"
-        )
+    if settings.exposures == "recorded":
+        check_recorded_exposures(capture)
     return (settings.exposures,)
 
 
