@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from hir_core.plugins.manager import PluginManager
 from hir_core.run.capture_store import fingerprint
 from hir_core.run.determinism import determinism
 from hir_core.run.device import resolve_device
+from hir_core.run.machine import processor_seconds
 from hir_core.run.python_warnings import forward_user_warnings
 from hir_core.run.run_directory import LAST_STAGE, STAGE_NAMES, RunDirectory, check_stage_name, claimed_run
 from hir_core.run.run_log import write_log
@@ -117,7 +119,11 @@ def reconstruct(
         run_stages(state, runner, last_stage)
         records.finish()
         if directory.scene.is_dir():
-            _write_report(directory, plugins, state.config.report_side, runner.reused, on_message)
+            started, processor_started = time.perf_counter(), processor_seconds()
+            if _write_report(directory, plugins, state.config.report_side, runner.reused, on_message):
+                seconds = time.perf_counter() - started
+                records.add_report(seconds, processor_seconds() - processor_started)
+                say(f"report: {seconds:.1f} s")
     return Run(directory, tuple(runner.reused))
 
 
@@ -199,15 +205,17 @@ def _write_report(
     side: int,
     reused: Sequence[str],
     on_message: Callable[[str], None] | None,
-) -> None:
-    """The report; its pictures are rendered again only where a stage before the export was computed."""
+) -> bool:
+    """Writes the report; its pictures are rendered again only where a stage before the export was computed. Whether
+    they were."""
     from hir_core.report import pictures_damage, refresh_page, write_report
 
     if set(reused) >= set(STAGE_NAMES[:-1]):
         damage = pictures_damage(directory, side)
         if damage is None:
             refresh_page(directory, plugins)
-            return
+            return False
         if directory.report.exists() and on_message is not None:
             on_message(f"report: its pictures are rendered again ({damage})")
     write_report(directory, plugins, on_message=on_message)
+    return True

@@ -61,7 +61,8 @@ def run_figures(run: Path) -> dict[str, Any]:
         "preset": document["settings"]["preset"],
         "views": document["capture"]["views"],
         "side": max(first["width"], first["height"]),
-        "stages": {name: stage[seconds] for name, stage in timings["stages"].items()},
+        "stages": {name: stage[seconds] for name, stage in timings["stages"].items()}
+        | {"report": timings["report"][seconds]},
         "peak_memory_bytes": max(stage["peak_memory_bytes"] for stage in timings["stages"].values()),
         "seconds_per_view": round(sum(view["seconds"] for view in test["views"]) / len(test["views"]), 2),
         "threads": timings["machine"].get("threads"),
@@ -99,10 +100,10 @@ def runs_table(runs: list[dict[str, Any]]) -> str:
 def stages_table(runs: list[dict[str, Any]]) -> str:
     """Seconds of each stage, peak memory and selected model of each run."""
     names = list(dict.fromkeys(name for run in runs for name in run["stages"]))
-    order = [n for n in ("initializer", "geometry", "atlas", "reflectance", "bake", "export") if n in names]
+    order = [n for n in ("initializer", "geometry", "atlas", "reflectance", "bake", "export", "report") if n in names]
     lines = ["| capture | " + " | ".join(order) + " | peak memory | model |", "|---|" + "---|" * (len(order) + 2)]
     for run in runs:
-        cells = [f"{run['stages'].get(name, 0.0):.1f} s" for name in order]
+        cells = [f"{run['stages'][name]:.1f} s" if name in run["stages"] else "–" for name in order]
         memory = f"{run['peak_memory_bytes'] / 2**30:.1f} GiB"
         lines.append(f"| {run['capture']} | " + " | ".join([*cells, memory, str(run["model"])]) + " |")
     return "\n".join(lines)

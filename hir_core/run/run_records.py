@@ -47,6 +47,8 @@ class RunRecords:
             "started": current_time(),
             "stages": self._earlier_timings(),
         }
+        if report := self._earlier_report():
+            self._timings["report"] = report
         self._write()
 
     def add_stage(self, record: StageRecord, timings: Mapping[str, Any] | None) -> None:
@@ -64,6 +66,11 @@ class RunRecords:
         """Writes the time at which the run ended."""
         self._timings["finished"] = current_time()
         self._timings["seconds"] = sum(s.get("seconds", 0.0) for s in self._timings["stages"].values())
+        self._write()
+
+    def add_report(self, seconds: float, processor_seconds: float) -> None:
+        """Adds the times of a report whose pictures were rendered after `finish`."""
+        self._timings["report"] = {"seconds": round(seconds, 3), "processor_seconds": round(processor_seconds, 3)}
         self._write()
 
     def _earlier_metrics(self) -> dict[str, Any]:
@@ -90,6 +97,17 @@ class RunRecords:
             self._on_message(f"the times of the stages {', '.join(lost)} are lost: timings.json is damaged")
         return sound
 
+    def _earlier_report(self) -> dict[str, float]:
+        """Times of a report that an earlier call wrote; its pictures may still be right."""
+        try:
+            report = self._directory.read_timings().get("report", {})
+        except InputError:
+            return {}
+        times = ("seconds", "processor_seconds")
+        if not isinstance(report, dict) or not all(_is_number(report.get(key)) for key in times):
+            return {}
+        return {key: report[key] for key in times}
+
     def _write(self) -> None:
         for problem in self._plugins.problems[len(self._document["plugin_problems"]) :]:
             self._on_message(f"plugin problem: {problem}")
@@ -105,13 +123,13 @@ def current_time() -> str:
 
 def _is_complete(entry: Mapping[str, Any]) -> bool:
     """Whether the times of a stage have all that reports read, as `StageRunner` writes it."""
-
-    def is_number(value: object) -> bool:
-        return isinstance(value, int | float) and math.isfinite(value)
-
     milestones = entry.get("milestones")
     return (
-        all(is_number(entry.get(key)) for key in ("seconds", "processor_seconds", "peak_memory_bytes"))
+        all(_is_number(entry.get(key)) for key in ("seconds", "processor_seconds", "peak_memory_bytes"))
         and isinstance(milestones, list)
-        and all(isinstance(each, list) and len(each) == 2 and is_number(each[1]) for each in milestones)
+        and all(isinstance(each, list) and len(each) == 2 and _is_number(each[1]) for each in milestones)
     )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)

@@ -61,6 +61,7 @@ def test_run_json_holds_settings_and_timings_json_the_clock(finished: Run) -> No
     text = json.dumps({name: value for name, value in document.items() if name != "settings"})
     assert "seconds" not in text and "started" not in text
     assert all(timings["stages"][name]["seconds"] >= 0 for name in STAGE_NAMES)
+    assert timings["report"]["seconds"] > 0 and timings["report"]["processor_seconds"] > 0
 
 
 def test_every_entry_is_documented(finished: Run) -> None:

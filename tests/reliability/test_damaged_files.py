@@ -127,8 +127,13 @@ def test_times_of_stages_that_are_damaged_are_left_out(
     again = quick(tiny_capture, run, deterministic=True, resume=True, on_message=said.append)
     assert again.reused == STAGE_NAMES and files_of(run) == files_of(finished.path)
     assert any("times of" in text and "lost" in text for text in said)
-    kept = json.loads((run / "timings.json").read_text())["stages"]
-    assert not {"initializer", "geometry", "atlas", "bake"} & set(kept)
+    kept = json.loads((run / "timings.json").read_text())
+    assert not {"initializer", "geometry", "atlas", "bake"} & set(kept["stages"])
+    assert kept["report"] == document["report"], "its pictures were right"
+    for damaged in ({"seconds": 1.0}, {"seconds": "soon", "processor_seconds": 1.0}, 7):
+        (run / "timings.json").write_text(json.dumps(kept | {"report": damaged}))
+        quick(tiny_capture, run, deterministic=True, resume=True)
+        assert "report" not in json.loads((run / "timings.json").read_text()), damaged
 
 
 @pytest.mark.slow
