@@ -222,6 +222,14 @@ class ReflectanceSolver(PreparedReflectance, Generic[FitT, RefinementT]):
         """
         return None
 
+    def exposures(self, fit: FitT, views: Sequence[int]) -> NDArray[np.float64] | None:
+        """Factors (views, 3) of brightness and white balance of photographs that a fit used; None where it fitted none,
+        or, the default, where the solver does not tell them.
+
+        The model selection rejects fitted exposures that hardly differ.
+        """
+        return None
+
     @abstractmethod
     def scene(self, fit: FitT, views: Sequence[int], report: Callable[[float], None]) -> Solved[RefinementT]:
         """The scene of a fit with textures at full resolution, solved from the pixels of `views`."""

@@ -85,7 +85,7 @@ def exposures_are_fitted(subject: Subject) -> None:
     """Of eight photographs of a matt sphere, with brightness from 0.6 to 1.5 and different white balance, a model with
     fitted exposures finds the factors (15 %), and one with `recorded` exposures takes `View.recorded_exposure`. A
     photograph that the fit did not use is compared at the factors that suit it: its error is below a quarter of that
-    with equal exposures.
+    with equal exposures. `exposures` of a fit, where they are not None, are the factors that it found.
     """
     from hir_core.plugins.model_spec import ModelSpec
     from hir_core.scene import Scene
@@ -115,18 +115,31 @@ def exposures_are_fitted(subject: Subject) -> None:
         exposures = solver.scene(fit, everything, lambda share: None).exposures
         require(exposures is not None, f"`Solved.exposures` is None for {kind} exposures")
         assert exposures is not None
-        found = np.log(exposures.detach().cpu().double().numpy()) - np.log(given)
-        worst = float(np.abs(np.expm1(found - found.mean(axis=0))).max())
+        worst = _furthest(exposures.detach().cpu().double().numpy(), given)
         require(worst < 0.15, f"with {kind} exposures a factor is {100 * worst:.0f} % from the true one")
     errors = {}
     for kind in ("equal", "fitted"):
-        solver, fit = solved(kind, factors, everything[:-1])
+        used = everything[:-1]
+        solver, fit = solved(kind, factors, used)
         errors[kind] = float(solver.errors(fit, [everything[-1]])[0])
+        found = solver.exposures(fit, used)
+        if kind == "equal":
+            require(found is None, "`exposures` of a fit with equal exposures are not None")
+        elif found is not None:
+            require(np.shape(found) == (len(used), 3), f"`exposures` of {len(used)} views: {np.shape(found)}")
+            worst = _furthest(found, factors[: len(used)])
+            require(worst < 0.15, f"`exposures` of a fit: a factor is {100 * worst:.0f} % from the true one")
     require(
         errors["fitted"] < errors["equal"] / 4,
         f"the error of a photograph that was not used is {errors['fitted']:.2e} with fitted exposures, "
         f"{errors['equal']:.2e} with equal ones",
     )
+
+
+def _furthest(factors: np.ndarray, true: np.ndarray) -> float:
+    """The largest relative error of factors, whose mean brightness and white balance are free."""
+    difference = np.log(factors) - np.log(true)
+    return float(np.abs(np.expm1(difference - difference.mean(axis=0))).max())
 
 
 @contract("reflectance_renderer", traits={"solver", "takes"}, slow=True)

@@ -242,6 +242,13 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         )
         return found.cpu().numpy()
 
+    def exposures(self, fit: Fit, views: Sequence[int]) -> NDArray[np.float64] | None:
+        """Fitted exposures of the views; None for a model without."""
+        found = fit.parameters.exposure
+        if fit.spec.exposures != "fitted" or found is None:
+            return None
+        return found[list(views)].detach().double().cpu().numpy()
+
     def _errors_of_views(
         self, fit: Fit, pixels: PixelColors, renderings: Sequence[Float[Tensor, "P 3"]], views: Sequence[int]
     ) -> Float[Tensor, " V"]:

@@ -26,6 +26,9 @@ from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 
 REQUIRED_STANDARD_ERRORS_OF_EXPOSURES = 2.0
 """Three more numbers for each photograph can imitate much, such as reflections that a simple model lacks."""
+LEAST_DEVIATION_STOPS = 0.05
+"""Standard deviation of fitted exposures over photographs, in the channel where it is largest, below which exposures
+count as equal: fitted ones are 0.03 stops off the true ones (docs/studies/exposures.md#equal-photographs)."""
 BUDGET = ROUNDS[0]
 """What each fit gets; those with equal exposures are the first fits of the rounds."""
 
@@ -88,7 +91,7 @@ class _ExposureComparison(Generic[FitT, RefinementT]):
     def _decide(self, exposures: Exposures, control: FoldedFit[FitT], differ: bool = False) -> None:
         candidate = self._best_with(exposures)
         before, gain = self.selected.exposures, paired_gain(control.errors, candidate.errors)
-        accepted = exposures_are_confirmed(control, candidate, differ)
+        accepted = exposures_are_confirmed(control, candidate, self._fits, differ)
         self.selected = ExposureSelection(exposures if accepted else before, before, *gain, len(control.errors))
         if accepted:
             self._best = candidate
@@ -139,8 +142,11 @@ def exposures_may_differ(fit: FoldedFit[FitT], own: FoldedFit[FitT]) -> bool:
     return is_significant(*paired_gain(fit.errors, own.errors), len(own.errors))
 
 
-def exposures_are_confirmed(before: FoldedFit[FitT], after: FoldedFit[FitT], differ: bool = False) -> bool:
-    """Whether held-out views confirm the exposures of `after`: they gain so much that exposures explain it.
+def exposures_are_confirmed(
+    before: FoldedFit[FitT], after: FoldedFit[FitT], fits: FoldedFits[FitT, RefinementT], differ: bool = False
+) -> bool:
+    """Whether held-out views confirm the exposures of `after`: they gain so much that exposures explain it, and fitted
+    exposures differ by more than they are off.
 
     Where colours of the same places `differ` between photographs, it is enough that held-out views do not lose: a model
     that explains too little shows no gain, and the colours are evidence that does not depend on it.
@@ -148,6 +154,9 @@ def exposures_are_confirmed(before: FoldedFit[FitT], after: FoldedFit[FitT], dif
     gain, standard_error = paired_gain(before.errors, after.errors)
     if differ:
         return not is_significant(-gain, standard_error, len(after.errors))
+    deviation = fits.exposure_deviation(after)
+    if deviation is not None and deviation < LEAST_DEVIATION_STOPS:
+        return False
     return is_significant(gain, standard_error, len(after.errors), REQUIRED_STANDARD_ERRORS_OF_EXPOSURES)
 
 

@@ -87,6 +87,17 @@ class FoldedFits(Generic[FitT, RefinementT]):
             between_lights.append(errors[-1] if own is None else own)
         return FoldedFit(spec, tuple(fits), np.concatenate(errors), np.concatenate(between_lights))
 
+    def exposure_deviation(self, fit: FoldedFit[FitT]) -> float | None:
+        """How far a fit's exposures differ between photographs: standard deviation in stops, of the channel where it is
+        largest, mean over the folds; None where the solver tells none.
+        """
+        found = []
+        for (training, _), each in zip(self._folds, fit.fits, strict=False):
+            factors = self._fits.solver.exposures(each, training)
+            if factors is not None and len(factors):
+                found.append(float(np.log2(np.maximum(factors, 1e-12)).std(axis=0).max()))
+        return float(np.mean(found)) if found else None
+
     def in_branches(
         self, jobs: Sequence[Callable[[FoldedFits[FitT, RefinementT]], T]], ended: Callable[[T], None]
     ) -> list[T]:

@@ -87,7 +87,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         candidate, _, _ = self._against_control(replace(self.spec, exposures=selection.before))
         own = at_own_exposures(self._fits, candidate)
         gain, standard_error = paired_gain(own.errors, self.fit.errors)
-        needed = exposures_are_confirmed(own, self.fit, differ)
+        needed = exposures_are_confirmed(own, self.fit, self._fits, differ)
         self._record(replace(own, spec=candidate.spec), -gain, standard_error, accepted=not needed)
         if not needed:
             self.fit, self._has_control = candidate, False
@@ -105,7 +105,7 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         candidate, _, _ = self._against_control(replace(self.spec, exposures="fitted"))
         control = at_own_exposures(self._fits, self.fit)
         gain = paired_gain(control.errors, candidate.errors)
-        accepted = exposures_are_confirmed(control, candidate, differ)
+        accepted = exposures_are_confirmed(control, candidate, self._fits, differ)
         if accepted:
             self.fit, self._has_control = candidate, False
         self._record(candidate, *gain, accepted=accepted)

@@ -147,6 +147,32 @@ def test_small_differences_show_beside_the_selected_material() -> None:
     assert found.exposures.gain_db == pytest.approx(5, abs=0.2)
 
 
+@pytest.mark.parametrize("when", ["before the hypotheses", "beside the material"])
+@pytest.mark.parametrize(("stops", "expected"), [(0.03, "equal"), (0.1, "fitted")])
+def test_fitted_exposures_that_hardly_differ_are_equal(stops: float, expected: str, when: str) -> None:
+    """They gain, but by less than fits are off: what the model lacks."""
+
+    class Telling(ExposedSolver):
+        def exposures(self, fit: Fit, views: Sequence[int]) -> np.ndarray | None:
+            if fit.exposures == "equal":  # type: ignore[attr-defined]
+                return None
+            signs = np.where(np.arange(len(views)) % 2, 1.0, -1.0)
+            return 2 ** (stops * signs[:, None] * [0.1, 0.2, 1.0])
+
+        def errors(self, fit: Fit, views: Sequence[int]) -> np.ndarray:
+            later = when == "beside the material" and fit.spec.kind == "diffuse"
+            self._levels = dict.fromkeys(DIFFERENT, 15.0) if later else DIFFERENT
+            return super().errors(fit, views)
+
+    solver, recorder = Telling(DIFFERENT), Recorder()
+    fits = FitSequence(solver, recorder.progress)
+    found = select_model(fits, ReflectanceSettings(), 48, recorder, None, CHOICES)
+    assert found.exposures.exposures == found.spec.exposures == expected
+    assert found.exposures.gain_db == pytest.approx(5, abs=0.2)
+    with_evidence = select_model(fits, ReflectanceSettings(), 48, recorder, None, CHOICES, exposures_differ=True)
+    assert with_evidence.spec.exposures == "fitted", "colours of the same places say that exposures differ"
+
+
 def test_exposures_that_the_settings_name_are_not_compared() -> None:
     selection, solver = selected(dict.fromkeys(DIFFERENT, 20.0), ("fitted",))
     assert selection.spec.exposures == selection.exposures.exposures == "fitted"
