@@ -103,6 +103,18 @@ def test_filename_lists_make_splits(picture: Path) -> None:
     assert [v.name for v in READER.read(picture).views] == ["a"]
 
 
+def test_photographs_that_are_listed_for_tests_are_not_for_the_fit(picture: Path) -> None:
+    """A file without `train_filenames`: all other photographs, not all of them."""
+    Image.new("RGB", (64, 48)).save(picture / "images" / "b.png")
+    frames = [{"file_path": f"images/{n}.png", "transform_matrix": POSE} for n in "ab"]
+    write(picture, frames=frames, test_filenames=["images/b.png"])
+    assert [v.name for v in READER.read(picture).views] == ["a"]
+    assert [v.name for v in READER.read(picture, "test").views] == ["b"]
+    write(picture, frames=frames, val_filenames=["images/a.png"], test_filenames=["images/b.png"])
+    with pytest.raises(CaptureError, match="lists no frame of the split 'train'"):
+        READER.read(picture)
+
+
 def test_float32_matrices_become_rotations(picture: Path) -> None:
     rotation = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     rotation *= np.sign(np.linalg.det(rotation))
