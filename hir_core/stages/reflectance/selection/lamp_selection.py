@@ -34,12 +34,15 @@ class LampComparison:
     held_out_views: int
 
 
-def compare_lamp(fits: FoldedFits[FitT, RefinementT], others: Sequence[ModelSpec], lamp: ModelSpec) -> LampComparison:
+def compare_lamp(
+    fits: FoldedFits[FitT, RefinementT], others: Sequence[ModelSpec], lamp: ModelSpec, later_cost: float = 0.0
+) -> LampComparison:
     """A short fit of the hypothesis with a lamp and of each of the others, which are at least one.
 
-    All are of one kind of material, and are fitted with the budget of the first round, as they are there.
+    All are of one kind of material, and are fitted with the budget of the first round, as they are there. `later_cost`:
+    expected cost of what follows, for the progress.
     """
-    fits.expect((1 + len(others)) * fit_cost(lamp, BUDGET.effort, BUDGET.pixel_share))
+    fits.expect((1 + len(others)) * fit_cost(lamp, BUDGET.effort, BUDGET.pixel_share) + later_cost)
     found, *rest = (fits.fit(spec, None, BUDGET.effort, BUDGET.pixel_share) for spec in (lamp, *others))
     nearest = max(rest, key=lambda fit: fit.held_out_db)
     gain, standard_error = gain_of(found, over=nearest)

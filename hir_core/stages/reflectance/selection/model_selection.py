@@ -253,7 +253,7 @@ def _compare_lamp(
         replace(each, exposures=exposures)
         for each in simplest_under_each_light(_supported(fits, [lamp, *hypotheses(settings)]))
     )
-    return compare_lamp(folded, others, own)
+    return compare_lamp(folded, others, own, _hypotheses_cost(_supported(fits, hypotheses(settings))))
 
 
 def _hypotheses_cost(specs: Sequence[ModelSpec]) -> float:
@@ -293,7 +293,7 @@ def _decide(
     pooled: dict[ModelSpec, FoldedFit[FitT]] = {}
     rivals = [each for each in tied if each is not simplest and not contains(each.spec, simplest.spec)]
     if rivals and len(fits.further):
-        fits.expect(2 * sum(halving.cost(each.spec) for each in tied))
+        fits.expect(2 * sum(halving.cost(each.spec) for each in tied) + expected_cost(simplest.spec))
         for each in tied:
             fit = None
             for budget in ROUNDS:

@@ -64,6 +64,15 @@ def test_a_lamp_is_selected_where_it_explains_most(kind: str) -> None:
     assert lamp.gain_db == pytest.approx(6, abs=0.3) and lamp.held_out_views == 6 and not lamp.near_tie
 
 
+def test_the_short_fit_of_a_lamp_is_a_small_part_of_the_progress() -> None:
+    """A bar that stood at the end of its phase during all of the hypotheses showed a wrong time left."""
+    recorder = Recorder()
+    select_model(FitSequence(Scripted(flash), recorder.progress), ReflectanceSettings(), 48, recorder, fits_lamp=True)
+    reports_of_a_fit, short_fits = 3, 3
+    assert recorder.shares[reports_of_a_fit * short_fits - 1] < 0.2
+    assert 0.1 < recorder.shares[len(recorder.shares) // 2] < 0.8
+
+
 @pytest.mark.parametrize("best", ["world", "camera"])
 def test_photographs_without_a_flash_pay_for_one_short_fit(best: str) -> None:
     """What is selected and compared is the same as without lamps."""
