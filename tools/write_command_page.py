@@ -13,7 +13,8 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "command-line.md"
 INTRODUCTION = """# The command line
 
 Written by `python tools/write_command_page.py` from the commands themselves. Exit codes: 0 for success;
-2 for an error that you can correct, described in one sentence; 130 when interrupted; 1 for a bug.
+1 for a bug (of `hir doctor`: a check failed); 2 for an error that you can correct, described in one sentence; 3 if
+captures of `hir batch` failed; 130 when interrupted.
 `-v` shows the traceback of an error.
 """
 

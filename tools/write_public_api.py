@@ -24,7 +24,11 @@ TYPES = {
         "ReflectanceSolver",
         "ReflectanceRenderer",
         "Regularizer",
+        "CheckpointLocation",
+        "WeightedTerm",
+        "Solved",
     ),
+    "hir_core.plugins.model_spec": ("ModelSpec",),
     "hir_core.stages.reflectance.gradient_solver": ("GradientSolver",),
     "hir_exporters.exporter": ("Exporter", "ExportReport"),
     "hir_core.capture": ("Camera", "Pixels", "View", "OrientedPoints", "EnvironmentSource", "Capture"),
@@ -47,7 +51,8 @@ TYPES = {
 }
 
 FUNCTIONS = {
-    "hir_core.plugins.options": ("build_options",),
+    "hir_core.plugins.options": ("build_options", "seed_of_run", "device_of_run", "takes_effect_with"),
+    "hir_core.run.determinism": ("threads",),
     "hir_core.testing": (
         "check_component",
         "check_whole_plugin",

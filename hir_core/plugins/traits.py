@@ -17,7 +17,7 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
     "initializer": {
         "finds_cameras": "finds cameras for views that have none",
         "refines_cameras": "moves given cameras that are a little wrong; `hir check` announces it",
-        "makes_surface": "returns a scene with a mesh",
+        "makes_surface": "returns a mesh that is the measured surface: half of its vertices within 3 % of the radius",
         "needs_cameras": "every view must have a camera",
         "needs_masks": "views must have masks",
         "needs_surface": "an initializer before it must have made a mesh, which it changes",

@@ -188,8 +188,8 @@ def docs_page_is_there(subject: Subject) -> None:
 
 @contract()
 def traits_are_known(subject: Subject) -> None:
-    """Traits are words that the core knows for the kind (`hir_core.plugins.traits`); a misspelt promise would do
-    nothing."""
+    """Traits are words that the core knows for the kind (`hir_core.plugins.traits`); a misspelt trait would have no
+    effect."""
     known = TRAITS[subject.kind]
     for trait in sorted(subject.component.traits - set(known)):
         near = get_close_matches(trait, known, 1)

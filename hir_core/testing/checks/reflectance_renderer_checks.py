@@ -109,9 +109,9 @@ def _shows_the_ball(pixels: Tensor, camera: Camera) -> Tensor:
 
 @contract("reflectance_renderer", slow=True)
 def white_furnace(subject: Subject) -> None:
-    """Under a light of 1 from everywhere a white diffuse sphere cannot be told from it (1 %), a white coupled
-    dielectric neither (2 %), and no material of the `paper` model with ρd + ρs ≤ 1 is brighter than the light. Of a
-    renderer with the trait `lambertian` the diffuse sphere alone is tested.
+    """Under a light of 1 from everywhere a white diffuse sphere has the radiance 1 (to 1 %), and so has a `dielectric`
+    with ρd = 1 (to 2 %). No material of the `paper` model with ρd + ρs ≤ 1 is brighter than the light. Of a renderer
+    with the trait `lambertian` the diffuse sphere alone is tested.
     """
     import torch
 
