@@ -1,8 +1,9 @@
 """Writes docs/benchmarks.md, its plots and the tables of README and docs/reflectance.md; tests compare.
 
 `python tools/write_benchmarks.py [--runs RUN…]`: with runs, the figures of finished and evaluated runs are first stored
-in benchmarks/results/whole_runs.json. `hir bench … -o benchmarks/results` writes the other files. Plots are drawn from
-them to docs/images, the one place of generated figures; those that `hir bench` wrote are removed.
+in benchmarks/results/whole_runs.json, where those of other captures stay. `hir bench … -o benchmarks/results` writes
+the other files. Plots are drawn from them to docs/images, the one place of generated figures; those that `hir bench`
+wrote are removed.
 """
 
 from __future__ import annotations
@@ -72,6 +73,12 @@ def run_figures(run: Path) -> dict[str, Any]:
         "model": document["stages"]["reflectance"]["report"].get("model"),
         "metrics": {split: {k: m[k] for k in stored_metrics if k in m} for split, m in document["metrics"].items()},
     }
+
+
+def updated(stored: list[dict[str, Any]], measured: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The stored runs, with those of the same captures replaced and new captures at the end."""
+    rows = {run["capture"]: run for run in stored} | {run["capture"]: run for run in measured}
+    return list(rows.values())
 
 
 def runs_table(runs: list[dict[str, Any]]) -> str:
@@ -180,7 +187,10 @@ def main() -> None:
     options = parser.parse_args()
     if options.runs:
         RESULTS.mkdir(parents=True, exist_ok=True)
-        document = {"commit": source_commit(), "runs": [run_figures(run) for run in options.runs]}
+        document = {
+            "commit": source_commit(),
+            "runs": updated(whole_runs(), [run_figures(run) for run in options.runs]),
+        }
         text = json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False)
         (RESULTS / "whole_runs.json").write_text(text + "\n", encoding="utf-8")
     for suite in SUITES:

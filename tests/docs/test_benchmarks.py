@@ -68,3 +68,11 @@ def test_each_stored_row_says_when_where_and_by_which_code_it_was_measured(path:
             assert path.stem in MACHINE_NOT_RECORDED
         else:
             assert row["machine"]["processor"]
+
+
+def test_rows_of_captures_that_were_not_measured_again_stay() -> None:
+    stored = [{"capture": "spot", "date": "2026-11-28"}, {"capture": "chair", "date": "2026-11-27"}]
+    found = TOOL.updated(
+        stored, [{"capture": "avocado", "date": "2026-11-29"}, {"capture": "spot", "date": "2026-11-29"}]
+    )
+    assert [(row["capture"], row["date"][-2:]) for row in found] == [("spot", "29"), ("chair", "27"), ("avocado", "29")]
