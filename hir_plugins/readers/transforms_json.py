@@ -133,7 +133,8 @@ def _frames_of_split(
         others = set().union(*(_listed_names(content, key) for key in _SPLIT_LISTS.values()))
         chosen = [(i, f) for i, f in numbered if str(f.get("file_path")) not in others] if own_file else []
     if not chosen:
-        raise CaptureError(f"{source} lists no frame of the split {split!r}")
+        place = f"the list {_SPLIT_LISTS[split]!r}" if split in _SPLIT_LISTS else f"transforms_{split}.json"
+        raise CaptureError(f"{source} lists no frame of the split {split!r}; name its photographs in {place}")
     return chosen
 
 

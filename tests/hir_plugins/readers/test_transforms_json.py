@@ -111,7 +111,7 @@ def test_photographs_that_are_listed_for_tests_are_not_for_the_fit(picture: Path
     assert [v.name for v in READER.read(picture).views] == ["a"]
     assert [v.name for v in READER.read(picture, "test").views] == ["b"]
     write(picture, frames=frames, val_filenames=["images/a.png"], test_filenames=["images/b.png"])
-    with pytest.raises(CaptureError, match="lists no frame of the split 'train'"):
+    with pytest.raises(CaptureError, match="lists no frame of the split 'train'; name its photographs in the list"):
         READER.read(picture)
 
 
