@@ -30,6 +30,9 @@ _FILL = 0.6
 """Share of an atlas that charts fill, measured on spot, bumpy spheres and marching-cubes meshes (0.58 to 0.79)."""
 _ROUNDING_LOG2 = 0.07
 """A power of two that is 5 % too small is accepted: twice the side takes four times the memory."""
+_TEXELS_PER_PIXEL_MIN = 0.5
+"""Covered texels for each pixel of the closest view, below which a derived texture gets twice the side. Many small
+charts leave most of an atlas empty: those of long thin triangles 0.33, where textures showed stripes."""
 _OVERLAP_MAX = 0.002
 """Share of texels that may be claimed twice by texture coordinates that a mesh already has."""
 _OVERLAP_TEST_SIDE = 512
@@ -57,7 +60,8 @@ def unwrap(
     Texture coordinates that the mesh already has are kept where they lie in 0…1 and do not overlap; those that leave it
     by `UV_TOLERANCE` or less are moved to the border. `mesh_name` is what messages call the mesh.
     """
-    size = settings.texture_size or texture_size(scene.mesh, capture.cameras)
+    pixels = _pixels_of_closest_views(scene.mesh, capture.cameras)
+    size = settings.texture_size or _texture_size(pixels)
     if size < 1 or size > _SETTING_MAX:
         raise ConfigError(f"atlas.texture_size is {size}; it must lie between 1 and {_SETTING_MAX} (0 derives it)")
     mesh, charts = _with_rounded_border(scene.mesh), None
@@ -72,6 +76,11 @@ def unwrap(
             context.warn(f"{mesh_name} {problem}; new ones replace them")
         mesh, charts = unwrap_mesh(mesh, size, settings.padding)
     surface = texel_surface(mesh, size)
+    while not settings.texture_size and size < SIDE_MAX and len(surface.face) < _TEXELS_PER_PIXEL_MIN * pixels:
+        size *= 2
+        if charts is not None:
+            mesh, charts = unwrap_mesh(mesh, size, settings.padding)
+        surface = texel_surface(mesh, size)
     used = round(float(surface.covered.float().mean()), 4)
     material = scene.material or _baked_colors(mesh, surface, settings.padding)
     return replace(scene, mesh=mesh, material=material), AtlasReport(size, used, charts)
@@ -98,20 +107,29 @@ def unwrap_mesh(mesh: Mesh, size: int, padding: int = 4) -> tuple[Mesh, int]:
 
 
 def texture_size(mesh: Mesh, cameras: Sequence[Camera]) -> int:
-    """Side of a square texture, a power of two, with at least one texel for each pixel of the closest view.
+    """Side of a square texture, a power of two, with about one texel for each pixel of the closest view.
 
     With fewer texels textures blur: captures/spot needs 641, and with 1024 its unseen views have 0.35 dB more (object)
-    than with 512. For each face the largest number of pixels is counted that it fills in the image of a camera that it
-    faces; occlusion is ignored.
+    than with 512.
+    """
+    return _texture_size(_pixels_of_closest_views(mesh, cameras))
+
+
+def _texture_size(pixels: float) -> int:
+    power = math.ceil(math.log2(max(math.sqrt(pixels / _FILL), 1.0)) - _ROUNDING_LOG2)
+    return int(min(max(2**power, SIDE_MIN), SIDE_MAX))
+
+
+def _pixels_of_closest_views(mesh: Mesh, cameras: Sequence[Camera]) -> float:
+    """Sum over faces of the largest number of pixels that a face fills in the image of a camera that it faces;
+    occlusion is ignored.
     """
     positions = mesh.positions.detach().cpu().numpy().astype(np.float64)
     faces = mesh.faces.cpu().numpy()
     pixels = np.zeros(len(faces))
     for camera in cameras:
         pixels = np.maximum(pixels, _face_pixels(positions, faces, camera))
-    side = math.sqrt(float(pixels.sum()) / _FILL)
-    power = math.ceil(math.log2(max(side, 1.0)) - _ROUNDING_LOG2)
-    return int(min(max(2**power, SIDE_MIN), SIDE_MAX))
+    return float(pixels.sum())
 
 
 def _face_pixels(positions: NDArray[np.float64], faces: NDArray[np.int64], camera: Camera) -> NDArray[np.float64]:

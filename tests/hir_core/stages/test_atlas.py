@@ -220,6 +220,32 @@ def test_texture_has_a_texel_for_each_pixel() -> None:
     assert texture_size(square(), [looking_at((0.0, -3.0, 0.0), 512, 512)]) == 64, "seen from behind"
 
 
+def strips(count: int) -> Mesh:
+    """A square in strips with gaps; each becomes a chart of its own."""
+    left = torch.linspace(-1, 1, count + 1)[:-1]
+    right = left + 1.8 / count
+    low, high = torch.full_like(left, -1), torch.full_like(left, 1)
+    corners = torch.stack([torch.stack(c, 1) for c in ((left, low), (right, low), (right, high), (left, high))], 1)
+    flat = corners.reshape(-1, 2)
+    positions = torch.stack([flat[:, 0], torch.zeros(len(flat)), flat[:, 1]], 1)
+    first = 4 * torch.arange(count)[:, None]
+    faces = torch.cat([first + torch.tensor([0, 2, 1]), first + torch.tensor([0, 3, 2])])
+    return Mesh(positions, Topology(faces))
+
+
+def test_charts_that_leave_most_of_the_atlas_empty_get_a_larger_texture(tmp_path: Path) -> None:
+    """Gaps between 100 strips take most of it: two or three pixels of a photograph would share a texel."""
+    camera = looking_at((0.0, 3.0, 0.0), 380, 380, focal=1.5)
+    derived, capture = texture_size(strips(1), [camera]), capture_of(camera)
+    for mesh, doubled in ((strips(1), False), (strips(100), True)):
+        unwrapped, report = unwrap(Scene(mesh), capture, AtlasSettings(), context(tmp_path, []))
+        assert (report.texture_size > derived) == doubled
+        assert texel_surface(unwrapped.mesh, report.texture_size).covered.sum() > 0.45 * 380**2
+        assert unwrapped.material is not None and len(unwrapped.material.diffuse_albedo) == report.texture_size
+    _, report = unwrap(Scene(strips(100)), capture, AtlasSettings(texture_size=derived), context(tmp_path, []))
+    assert report.texture_size == derived, "one that was set stays"
+
+
 def test_stage_keeps_good_coordinates_and_replaces_bad_ones(tmp_path: Path) -> None:
     warnings: list[str] = []
     capture = capture_of(looking_at((0, 3, 0), 128, 128))

@@ -30,6 +30,10 @@ NormalProduct: TypeAlias = Callable[[Tensor, Tensor], None]
 Differences: TypeAlias = Callable[[Tensor], NormalProduct]
 """Weights (N, 3) of the albedos → the function that adds the gradient of half the weighted squared differences of x."""
 
+DARK = 0.1
+"""Share of the mean light, as squared gain: a third of the mean brightness. In less light the prior gains weight
+against the pixels, because the errors of the light itself are large there (docs/studies/closed_form_albedo.md)."""
+
 _REWEIGHTING_ITERATIONS = 3
 _CONJUGATE_GRADIENT_ITERATIONS = 12
 
@@ -110,10 +114,10 @@ def solve_albedo(
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, " N"], Float[Tensor, " N"]]:
     """Albedo in 0…1, the number of pixels that see each, and the weight of these pixels in units of the prior's.
 
-    `prior` and `smoothness` are the weights of `start` and of `differences`. Both are fractions of the mean weight of
-    an albedo's pixels: for the mean light of all albedos and the mean importance of its own pixels, because black
-    pixels weigh a thousand times as much as white ones. `refiner` gets the solution and the curvature there of the mean
-    error over pixels and channels.
+    `prior` and `smoothness` are the weights of `start` and of `differences`. Both are fractions of the weight that the
+    mean number of pixels has in the light and with the importance of an albedo's own pixels: the squared gain inside a
+    vessel is a hundredth of the mean one, and black pixels weigh a thousand times as much as white ones. `refiner` gets
+    the solution and the curvature there of the mean error over pixels and channels.
     """
     albedo = start.clone()
     count, scale = _prior_scale(equations, start)
@@ -148,7 +152,11 @@ def solve_albedo(
 def _prior_scale(
     equations: Sequence[AlbedoEquations], start: Float[Tensor, "N 3"]
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 3"]]:
-    """The number of pixels that see each albedo, and the weight they would have under the mean light of all albedos."""
+    """The number of pixels that see each albedo, and the weight of the mean number of pixels in its light.
+
+    Light counts from `DARK` of the mean light to the mean light, which that of a metal always is: what is dark there
+    reflects reflections, whose errors are larger.
+    """
     count, light, importance = (start.new_zeros(len(start), n) for n in (1, 3, 3))
     for rows in equations:
         count = count + rows.lookup.transposed @ torch.ones_like(rows.gain[:, :1])
@@ -157,9 +165,16 @@ def _prior_scale(
     known = count[:, 0] > 0.5
     if not bool(known.any()):
         return count[:, 0], torch.ones_like(start)
-    mean = importance[known].sum(0) / count[known].sum(0)
-    each = torch.where(known[:, None], importance / count.clamp_min(0.5), mean)
-    return count[:, 0], (light[known].mean(dim=0) * each).clamp_min(1e-12)
+
+    def of_a_pixel(total: Tensor) -> Tensor:
+        mean = total[known].sum(0) / count[known].sum(0)
+        return torch.where(known[:, None], total / count.clamp_min(0.5), mean)
+
+    weight = light[known].mean(dim=0) * of_a_pixel(importance)
+    if all(rows.metal is None for rows in equations):
+        own_light = of_a_pixel(light) * count[known].sum() / light[known].sum(0).clamp_min(1e-12)
+        weight = weight * own_light.clamp(DARK, 1)
+    return count[:, 0], weight.clamp_min(1e-12)
 
 
 def _robust_weight(rows: AlbedoEquations, albedo: Tensor, huber_srgb: float) -> Float[Tensor, "P 3"]:

@@ -17,6 +17,7 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
 from hir_core.scene.bilinear import texture_texels
 from hir_core.scene.srgb import srgb_slope
+from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import DARK
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import SRGB_SLOPE_FLOOR_LINEAR
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms, material_at_vertices
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import (
@@ -252,11 +253,11 @@ def _vertex_information(
 
 
 def _observed_vertices(information: Float[Tensor, "V 2"]) -> Bool[Tensor, " V"]:
-    """Vertices with the number of pixels and the light that a texel needs to count as observed."""
+    """Vertices with the number of pixels and the light that a texel needs to count as observed, in the dark."""
     count, light = information.unbind(1)
     known = count > MIN_PIXELS
     mean = light[known].mean() if bool(known.any()) else light.new_ones(())
-    return known & (light > MIN_INFORMATION * TEXEL_PRIOR_WEIGHT * mean)
+    return known & (light > MIN_INFORMATION * TEXEL_PRIOR_WEIGHT * DARK * mean)
 
 
 def _light(

@@ -230,6 +230,26 @@ def test_texels_are_recovered_from_their_own_photographs() -> None:
     torch.testing.assert_close(texture[:, 11:], torch.full_like(texture[:, 11:], 0.5))
 
 
+@pytest.mark.parametrize(("light", "seen"), [(0.2, True), (0.05, True), (0.002, False)])
+def test_texels_in_little_light_are_known_from_their_photographs(light: float, seen: bool) -> None:
+    """Half of the texture is the inside of a vessel. Two pixels a texel tell its colour there as well as in bright
+    light, as long as it is not black."""
+    generator = torch.Generator().manual_seed(0)
+    truth = torch.rand(16, 16, 3, generator=generator) * 0.8 + 0.1
+    uv = torch.rand(512, 2, generator=generator)
+    inside = uv[:, :1] < 0.5
+    gain = torch.where(inside, light, 1.0).expand(-1, 3)
+    index, weight = texture_texels(uv, 16, 16)
+    target = gain * (truth.reshape(-1, 3)[index] * weight[..., None]).sum(1)
+    nowhere = torch.zeros(512, 3, dtype=torch.long)
+    equations = TexelEquations(index, weight, gain, target, 0 * gain, torch.ones_like(gain), gain < 0, nowhere)
+    texture, known = solve_texels([equations], torch.full_like(truth, 0.5), huber_srgb=0.05, prior=0.01)
+    errors = (texture - truth).abs().mean(dim=2)
+    assert float(errors[:, 9:].median()) < 0.02
+    assert (float(errors[:, :7].median()) < 0.1) == seen
+    assert (float(known[:, :7].float().mean()) > 0.8) == seen
+
+
 def test_clipped_pixels_never_darken_a_texel() -> None:
     """Half of the pixels are clipped at 0.3 of what they should be: the texture comes from the other half."""
     generator = torch.Generator().manual_seed(0)
