@@ -89,9 +89,14 @@ class _Edges:
 def _edges(faces: Faces, vertices: int) -> _Edges:
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     key = np.minimum(start, end) * vertices + np.maximum(start, end)
-    unique, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
-    order = np.argsort(inverse, kind="stable")
-    first = np.concatenate([[0], np.cumsum(count)[:-1]])
+    order = _stable_order(key, vertices * vertices)
+    ordered = key[order]
+    is_first = np.ones(len(key), dtype=bool)
+    is_first[1:] = ordered[1:] != ordered[:-1]
+    first = np.flatnonzero(is_first)
+    unique, count = ordered[first], np.diff(first, append=len(key))
+    inverse = np.empty(len(key), dtype=np.int64)
+    inverse[order] = np.cumsum(is_first) - 1
     pair = np.full((len(unique), 2), -1, dtype=np.int64)
     pair[:, 0] = order[first] // 3
     twice = count > 1
@@ -99,13 +104,25 @@ def _edges(faces: Faces, vertices: int) -> _Edges:
     return _Edges(np.stack([unique // vertices, unique % vertices], axis=1), inverse.reshape(-1, 3), pair, count)
 
 
+def _stable_order(keys: NDArray[np.int64], limit: int) -> NDArray[np.int64]:
+    """Indices that sort keys of 0 … `limit` − 1; equal keys stay in order.
+
+    Numbers that contain key and place are sorted, which takes a fifth of the time of `argsort`.
+    """
+    bits = len(keys).bit_length()
+    if limit.bit_length() + bits > 63:
+        return np.argsort(keys, kind="stable")
+    return np.sort(keys << bits | np.arange(len(keys))) & ((1 << bits) - 1)
+
+
 def _proper(faces: Faces) -> NDArray[np.bool_]:
     return (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
 
 
 def _compact(positions: Positions, faces: Faces) -> tuple[Positions, Faces]:
-    used, inverse = np.unique(faces, return_inverse=True)
-    return positions[used], inverse.reshape(-1, 3)
+    used = np.zeros(len(positions), dtype=bool)
+    used[faces.reshape(-1)] = True
+    return positions[used], (np.cumsum(used) - 1)[faces]
 
 
 def _lengths(positions: Positions, ends: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -224,8 +241,8 @@ def _link_condition(
 def _keeps_shape(x: Positions, f: Faces, ends: NDArray[np.int64], longest: float) -> NDArray[np.bool_]:
     """Whether merging each pair at its midpoint flips no triangle around it and makes no edge longer than `longest`."""
     corner = f.reshape(-1)
-    order = np.argsort(corner, kind="stable")
-    start = np.searchsorted(corner[order], np.arange(len(x) + 1))
+    order = _stable_order(corner, len(x))
+    start = np.concatenate([[0], np.cumsum(np.bincount(corner, minlength=len(x)))])
     good = np.ones(len(ends), dtype=bool)
     middle = 0.5 * (x[ends[:, 0]] + x[ends[:, 1]])
     for side in (0, 1):
