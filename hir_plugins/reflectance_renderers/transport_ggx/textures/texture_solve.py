@@ -17,7 +17,6 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene
 from hir_core.scene.bilinear import texture_texels
 from hir_core.scene.srgb import srgb_slope
-from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import DARK
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import SRGB_SLOPE_FLOOR_LINEAR
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms, material_at_vertices
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import (
@@ -39,7 +38,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.textures.metallic_equations import metallic_equations
 from hir_plugins.reflectance_renderers.transport_ggx.textures.normal_map import normal_map
 from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import (
-    MIN_INFORMATION,
     MIN_PIXELS,
     TexelEquations,
     solve_texels,
@@ -58,6 +56,9 @@ TEXEL_PRIOR_WEIGHT = 0.01
 """Weight of the albedo at vertices; without it, texels that few pixels see fit their noise."""
 TEXEL_SMOOTHNESS_WEIGHT = 0.02
 """Weight of differences between neighbouring texels: regularises where pixels do not separate texels."""
+OBSERVED_LIGHT = 1e-4
+"""Share of the mean light, as squared gain, from which a vertex counts as observed: a hundredth of the mean brightness.
+Photographs of 8 bits show colours in a little less light than that."""
 MIN_OBSERVED_VERTEX_SHARE = 0.99
 """A texel also counts as observed if this share of its vertices is."""
 
@@ -253,11 +254,11 @@ def _vertex_information(
 
 
 def _observed_vertices(information: Float[Tensor, "V 2"]) -> Bool[Tensor, " V"]:
-    """Vertices with the number of pixels and the light that a texel needs to count as observed, in the dark."""
+    """Vertices with the number of pixels that a texel needs to count as observed, and with enough light."""
     count, light = information.unbind(1)
     known = count > MIN_PIXELS
     mean = light[known].mean() if bool(known.any()) else light.new_ones(())
-    return known & (light > MIN_INFORMATION * TEXEL_PRIOR_WEIGHT * DARK * mean)
+    return known & (light > OBSERVED_LIGHT * mean)
 
 
 def _light(
