@@ -93,6 +93,8 @@ install_python() {
   say "installing hir[$extras] and what it needs into .venv (about 3 GB; minutes on the first call)"
   .venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements/ci.txt \
     ${TORCH_INDEX:+--extra-index-url "$TORCH_INDEX"} --editable ".[$extras]"
+  # its matting compiles some functions on the first import, which takes 40 s
+  [ "$purpose" != test ] || .venv/bin/python -c 'import rembg' >/dev/null 2>&1 || true
   printf '%s\n' "$wanted" >"$stamp"
 }
 

@@ -35,6 +35,7 @@ SETTINGS = GeometrySettings(
     levels=1,
     triangles=600,
     photo_consistency="off",
+    outline_iterations=25,
     parameterization="vertices",
     held_out=0.0,
     prune=False,

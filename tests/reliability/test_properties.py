@@ -45,6 +45,7 @@ SETTINGS = GeometrySettings(
     levels=1,
     remesh=False,
     photo_consistency="off",
+    outline_iterations=25,
     held_out=0.0,
     prune=False,
     robust=False,

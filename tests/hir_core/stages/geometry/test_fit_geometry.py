@@ -132,7 +132,7 @@ def test_outlines_do_not_follow_the_noise_of_masks(capture: Capture, tmp_path: P
     assert outlines.judging_iou.after >= outlines.judging_iou.before
 
 
-SHORT = replace(SETTINGS, iterations=25)
+SHORT = replace(SETTINGS, iterations=25, outline_iterations=25)
 
 
 @pytest.fixture(scope="module")
@@ -289,7 +289,7 @@ def test_the_paper_path_moves_vertices_at_radius_a_tenth(capture: Capture, tmp_p
 
 
 def test_same_seed_same_mesh_and_views_not_in_train_are_never_read(capture: Capture, tmp_path: Path) -> None:
-    settings = replace(SETTINGS, iterations=10)
+    settings = replace(SETTINGS, iterations=10, outline_iterations=10)
     runs = [_fit(_ball(), capture, settings, tmp_path / str(i), seed=s)[0].positions for i, s in enumerate((1, 1, 2))]
     assert torch.equal(runs[0], runs[1])
     assert runs[2].shape != runs[0].shape or not torch.equal(runs[0], runs[2])
