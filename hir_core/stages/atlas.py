@@ -60,7 +60,8 @@ def unwrap(
     Texture coordinates that the mesh already has are kept where they lie in 0…1 and do not overlap; those that leave it
     by `UV_TOLERANCE` or less are moved to the border. `mesh_name` is what messages call the mesh.
     """
-    pixels = _pixels_of_closest_views(scene.mesh, capture.cameras)
+    # none where the size is set: it then stays, however little of it the charts cover
+    pixels = 0.0 if settings.texture_size else _pixels_of_closest_views(scene.mesh, capture.cameras)
     size = settings.texture_size or _texture_size(pixels)
     if size < 1 or size > _SETTING_MAX:
         raise ConfigError(f"atlas.texture_size is {size}; it must lie between 1 and {_SETTING_MAX} (0 derives it)")
@@ -76,7 +77,7 @@ def unwrap(
             context.warn(f"{mesh_name} {problem}; new ones replace them")
         mesh, charts = unwrap_mesh(mesh, size, settings.padding)
     surface = texel_surface(mesh, size)
-    while not settings.texture_size and size < SIDE_MAX and len(surface.face) < _TEXELS_PER_PIXEL_MIN * pixels:
+    while size < SIDE_MAX and len(surface.face) < _TEXELS_PER_PIXEL_MIN * pixels:
         size *= 2
         if charts is not None:
             mesh, charts = unwrap_mesh(mesh, size, settings.padding)

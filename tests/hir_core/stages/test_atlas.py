@@ -244,6 +244,9 @@ def test_charts_that_leave_most_of_the_atlas_empty_get_a_larger_texture(tmp_path
         assert unwrapped.material is not None and len(unwrapped.material.diffuse_albedo) == report.texture_size
     _, report = unwrap(Scene(strips(100)), capture, AtlasSettings(texture_size=derived), context(tmp_path, []))
     assert report.texture_size == derived, "one that was set stays"
+    small = replace(square(), uvs=square().uvs * 0.3)  # coordinates of the mesh itself, on 0.09 of the atlas
+    _, report = unwrap(Scene(small), capture, AtlasSettings(), context(tmp_path, []))
+    assert report.texture_size == 2 * derived and report.charts is None
 
 
 def test_stage_keeps_good_coordinates_and_replaces_bad_ones(tmp_path: Path) -> None:

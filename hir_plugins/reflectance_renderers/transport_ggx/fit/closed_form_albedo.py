@@ -30,7 +30,7 @@ NormalProduct: TypeAlias = Callable[[Tensor, Tensor], None]
 Differences: TypeAlias = Callable[[Tensor], NormalProduct]
 """Weights (N, 3) of the albedos → the function that adds the gradient of half the weighted squared differences of x."""
 
-DARK = 0.1
+LEAST_LIGHT = 0.1
 """Share of the mean light, as squared gain: a third of the mean brightness. In less light the prior gains weight
 against the pixels, because the errors of the light itself are large there (docs/studies/closed_form_albedo.md)."""
 
@@ -154,8 +154,8 @@ def _prior_scale(
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 3"]]:
     """The number of pixels that see each albedo, and the weight of the mean number of pixels in its light.
 
-    Light counts from `DARK` of the mean light to the mean light, which that of a metal always is: what is dark there
-    reflects reflections, whose errors are larger.
+    Its light counts as at least `LEAST_LIGHT` and at most all of the mean light. With a metal it counts as the mean
+    light: dark parts of a metal show reflections of reflections, whose errors are larger.
     """
     count, light, importance = (start.new_zeros(len(start), n) for n in (1, 3, 3))
     for rows in equations:
@@ -173,7 +173,7 @@ def _prior_scale(
     weight = light[known].mean(dim=0) * of_a_pixel(importance)
     if all(rows.metal is None for rows in equations):
         own_light = of_a_pixel(light) * count[known].sum() / light[known].sum(0).clamp_min(1e-12)
-        weight = weight * own_light.clamp(DARK, 1)
+        weight = weight * own_light.clamp(LEAST_LIGHT, 1)
     return count[:, 0], weight.clamp_min(1e-12)
 
 

@@ -58,7 +58,7 @@ TEXEL_SMOOTHNESS_WEIGHT = 0.02
 """Weight of differences between neighbouring texels: regularises where pixels do not separate texels."""
 OBSERVED_LIGHT = 1e-4
 """Share of the mean light, as squared gain, from which a vertex counts as observed: a hundredth of the mean brightness.
-Photographs of 8 bits show colours in a little less light than that."""
+White is ten of the 255 steps of a photograph there, if it has a linear value of 0.3 in the mean light."""
 MIN_OBSERVED_VERTEX_SHARE = 0.99
 """A texel also counts as observed if this share of its vertices is."""
 
