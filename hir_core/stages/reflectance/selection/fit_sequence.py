@@ -44,10 +44,14 @@ def fits_at_once(solver: ReflectanceSolver[FitT, RefinementT], terms: Sequence[W
 
 @final
 class SequenceProgress:
-    """The share of all fits that is done, also where several run at the same time."""
+    """The share of all fits that is done, also where several run at the same time.
+
+    A fit fills the part of the bar that is still empty, by its share of the cost that is still expected. So the bar
+    neither jumps where hypotheses are dropped nor stands still where more is to be fitted than was expected.
+    """
 
     def __init__(self, progress: Callable[[str, float], None]) -> None:
-        """`progress` receives the name of a model and the share of the expected cost that is done; never less."""
+        """`progress` receives the name of a model and the share that is done; never less."""
         self._progress = progress
         self._lock = threading.Lock()
         self._expected = self._begun = self._done = self._share = 0.0
@@ -72,9 +76,12 @@ class SequenceProgress:
             nonlocal reported
             self.signal.check()
             with self._lock:
-                self._done += cost * max(share - reported, 0.0)
+                step = cost * max(share - reported, 0.0)
+                remaining = max(self._expected, self._begun) - self._done
+                if step > 0:
+                    self._share += (1 - self._share) * min(step / max(remaining, step), 1.0)
+                self._done += step
                 reported = max(share, reported)
-                self._share = max(self._share, self._done / max(self._expected, self._begun))
                 self._progress(spec.name, min(self._share, 1.0))
 
         return report

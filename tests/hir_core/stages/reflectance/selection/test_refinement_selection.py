@@ -73,6 +73,21 @@ def test_progress_rises_to_the_end(better: str, settings: dict[str, Any]) -> Non
     assert recorder.comparisons == list(selection.comparisons)
 
 
+@pytest.mark.parametrize("best", ["diffuse", "dielectric"])
+def test_progress_neither_stands_still_nor_jumps_where_hypotheses_are_dropped(best: str) -> None:
+    """Dropped hypotheses and accepted refinements change the expected cost; every fit moves the bar all the same."""
+
+    def error(spec: ModelSpec) -> float:
+        maps = (spec.specular, spec.roughness).count("map")
+        return level(34 + 4 * (spec.kind == best) - 14 * (spec.light_frame == "camera") + maps + (spec.bounces > 0))
+
+    recorder = Recorder()
+    select(Scripted(error), ReflectanceSettings(), 48, recorder)
+    ended = recorder.shares[2::3]  # a scripted fit reports its beginning, half of it and its end
+    steps = np.diff([0.0, *ended])
+    assert (steps > 0.005).all() and steps.max() < 0.3
+
+
 @pytest.mark.parametrize(
     "truth",
     [
