@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from hir_exporters.asset import Asset, AssetEnvironment
+from hir_exporters.asset import Asset, AssetEnvironment, AssetMesh
 from hir_exporters.reading.asset_decoding import DecodedAsset
 
 from hir_core.capture import Array, Camera
-from hir_core.metrics import OBJECT_COVERAGE, Image, composite, psnr, unassociate
+from hir_core.metrics import OBJECT_COVERAGE, Image, composite, psnr_without_noise, unassociate
 from hir_core.rendering.reference_renderer import reference_renderer, render_view
 from hir_core.scene.asset_conversion import scene_from_asset
 from hir_core.scene.frames import move_scene
@@ -21,25 +20,22 @@ from hir_core.stages.export.render_threshold import GOOD_PSNR
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
-    from hir_core.scene import Scene
+    from hir_core.scene import Mesh, Scene
 
 VIEWS: Final = 4
 """Number of cameras that a file is rendered from, evenly spaced over those of the run."""
 
-RETRY_SAMPLE_FACTOR: Final = 8
-"""Factor of the paths per pixel in the second comparison. Equal random numbers cancel most noise between similar
-materials; where the first comparison is bad, noise may be the reason."""
+NOISES: Final = 2
+"""Renders of each picture, whose noise is independent: the product of their differences has no noise term."""
 
 
 class Rerender:
     """Renders the fitted scene once, and compares files with it.
 
     `cameras` are in the asset frame; `working_from_asset` (4×4) moves them to the frame in which renderers work.
-    `side` is the maximum of the longer image side in pixels, `samples` the number of paths per pixel.
+    `side` is the maximum of the longer image side in pixels, `samples` the number of paths per pixel, of which each of
+    two renders gets half.
     """
-
-    _with_fewer_paths: Rerender | None = None
-    """The first comparison, in the second one."""
 
     def __init__(
         self,
@@ -59,46 +55,30 @@ class Rerender:
             names[i]: _small(cameras[names[i]].transformed(working_from_asset), side) for i in chosen if names
         }
         self._working_from_asset, self._asset, self._device = working_from_asset, asset, device
-        self._plugins, self._bounces = plugins, bounces
-        self._sample(samples)
-        self._side = side
+        of_each = -(-samples // NOISES)
+        self._samples, self._side = NOISES * of_each, side
+        self._name, self._renderer = reference_renderer(
+            plugins, "", {"render_samples": of_each}, bounces, light=asset.environment
+        )
+        self._last_mesh: tuple[AssetMesh, Mesh] | None = None
         self.light_in_world = asset.environment is not None and asset.environment.frame == "world"
 
-    def _sample(self, samples: int) -> None:
-        self._samples = samples
-        self._name, self._renderer = reference_renderer(
-            self._plugins, "", {"render_samples": samples}, self._bounces, light=self._asset.environment
-        )
-
     @cached_property
-    def _fitted(self) -> dict[str, Image]:
+    def _fitted(self) -> dict[str, list[Image]]:
         return self._pictures(self._asset)
-
-    @cached_property
-    def _finer(self) -> Rerender:
-        """The same comparison with more paths per pixel."""
-        finer = copy(self)
-        finer.__dict__.pop("_fitted", None)
-        finer._sample(RETRY_SAMPLE_FACTOR * self._samples)
-        finer._with_fewer_paths = self
-        return finer
 
     def compare(self, written: DecodedAsset, light: AssetEnvironment | None) -> dict[str, Any]:
         """PSNR in dB of renders of a file against renders of the fitted scene, JSON-able.
 
-        `psnr.object` is over pixels that the fitted object covers, `psnr.views` the same for each camera. Below
-        `GOOD_PSNR` the file is rendered again with `RETRY_SAMPLE_FACTOR` times the paths. Where it is still below,
-        `costs` has the PSNR of the fitted scene with one part of the file: its material, mesh or light. `light` is
-        that of the file, in world axes; it is used where the run's light is fixed in the world.
+        `psnr.object` is over pixels that the fitted object covers, `psnr.views` the same for each camera. Where it is
+        below `GOOD_PSNR`, `costs` has the PSNR of the fitted scene with one part of the file: its material, mesh or
+        light. `light` is that of the file, in world axes; it is used where the run's light is fixed in the world.
         """
         fitted = self._asset.environment
         lit = light if light is not None and self.light_in_world else fitted
         if lit is not None and fitted is not None:
             lit = replace(lit, lamp=fitted.lamp)  # files describe a lamp near the camera and contain none
-        whole = replace(self._asset, mesh=written.mesh, material=written.material, environment=lit)
-        views = self._views(self._pictures(whole))
-        if _mean(views) < GOOD_PSNR and self._with_fewer_paths is None:
-            return self._finer.compare(written, light)
+        views = self._views(replace(self._asset, mesh=written.mesh, material=written.material, environment=lit))
         result: dict[str, Any] = {
             "rendered": written.interpretation,
             "renderer": self._name,
@@ -109,33 +89,36 @@ class Rerender:
         if _mean(views) < GOOD_PSNR:
             # one part at a time: material and normals of the fit belong to its own UVs
             parts = {
-                "the material": replace(self._asset, material=written.material),
                 "the mesh": replace(self._asset, mesh=written.mesh),
+                "the material": replace(self._asset, material=written.material),
             }
             if light is not None and self.light_in_world:
                 parts["the light"] = replace(self._asset, environment=lit)
-            result["costs"] = {name: self._cost(part) for name, part in parts.items()}
+            result["costs"] = {name: _mean(self._views(part)) for name, part in parts.items()}
         return result
 
-    def _cost(self, part: Asset) -> float:
-        """PSNR of the fitted scene with one part of a file. Noise lowers it, so a part that is good with few paths
-        needs no more.
-        """
-        first = self._with_fewer_paths
-        if first is not None and (value := _mean(first._views(first._pictures(part)))) >= GOOD_PSNR:
-            return value
-        return _mean(self._views(self._pictures(part)))
-
-    def _pictures(self, asset: Asset) -> dict[str, Image]:
+    def _pictures(self, asset: Asset) -> dict[str, list[Image]]:
+        """Two renders from each camera."""
         scene: Scene = move_scene(scene_from_asset(asset), self._working_from_asset).to(self._device)
-        return {name: render_view(self._renderer, scene, camera, name) for name, camera in self._cameras.items()}
+        if self._last_mesh is not None and self._last_mesh[0] is asset.mesh:
+            scene = replace(scene, mesh=self._last_mesh[1])  # what the renderer prepared for it serves again
+        self._last_mesh = asset.mesh, scene.mesh
+        return {
+            name: [render_view(self._renderer, scene, camera, f"{name} {noise}") for noise in range(NOISES)]
+            for name, camera in self._cameras.items()
+        }
 
-    def _views(self, pictures: Mapping[str, Image]) -> dict[str, float]:
-        values = {}
-        for name, picture in pictures.items():
-            truth = self._fitted[name]
-            where = truth[..., 3] > OBJECT_COVERAGE
-            value = psnr(composite(*unassociate(picture)), composite(*unassociate(truth)), where)
+    def _views(self, asset: Asset) -> dict[str, float]:
+        """PSNR of each camera's picture of an asset against that of the fitted scene, without the noise of both."""
+        values, fitted = {}, self._fitted
+        for name, pictures in self._pictures(asset).items():
+            truths = fitted[name]
+            where = np.mean([truth[..., 3] for truth in truths], axis=0) > OBJECT_COVERAGE
+            first, second = (
+                composite(*unassociate(picture)) - composite(*unassociate(truth))
+                for picture, truth in zip(pictures, truths, strict=True)
+            )
+            value = psnr_without_noise(first, second, np.zeros_like(first), where)
             if value is not None:  # None: the camera does not see the object
                 values[name] = round(value, 2)
         return values

@@ -20,11 +20,11 @@ from hir_exporters.textures.image_files import read_hdr, write_hdr
 from pygltflib import GLTF2
 
 from hir_core.cli import main
-from hir_core.metrics import Image
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
 from hir_core.rendering.orbit_cameras import orbit_cameras
-from hir_core.stages.export.export_rerendering import RETRY_SAMPLE_FACTOR, Rerender
+from hir_core.scene import Mesh
+from hir_core.stages.export.export_rerendering import Rerender
 from hir_core.stages.export.export_verification import ExportVerification, verify_export
 
 GREY = {"diffuse_albedo": [0.4, 0.3, 0.2], "specular_albedo": [0.2] * 3, "roughness": 0.2}
@@ -120,19 +120,38 @@ def test_what_is_broken_on_disk_is_named(spoil: object, blamed: str, tmp_path: P
     assert f"{blamed} costs most" in sentence
 
 
-def test_parts_that_are_good_with_few_paths_are_not_rendered_with_many(
+def test_noise_of_few_paths_does_not_count_as_an_error(tmp_path: Path) -> None:
+    """The figures of 4 paths a pixel are those of 256."""
+    plugins, asset = PluginManager.discover(), ball("dielectric")
+    report: ExportReport = plugins.create("exporter", "glb").write(asset, tmp_path / "ball.glb")
+    brighten(tmp_path)
+    cameras = {str(i): camera for i, camera in enumerate(orbit_cameras(4, 20.0, 96))}
+    few, many = (
+        verify_export(report, asset, {}, Rerender(asset, cameras, np.eye(4), plugins, side=48, samples=paths)).report
+        for paths in (4, 256)
+    )
+    assert (few["samples"], many["samples"]) == (4, 256)
+    assert few["psnr"]["object"] == pytest.approx(many["psnr"]["object"], abs=0.3)
+    assert few["costs"]["the material"] == pytest.approx(many["costs"]["the material"], abs=0.3)
+    assert few["costs"]["the mesh"] > 60 and few["costs"]["the light"] > 60
+
+
+def test_what_is_prepared_for_a_mesh_serves_all_parts_that_have_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original, samples = Rerender._pictures, []
+    """The fitted scene, the file, its mesh, its material, its light: three times another mesh than before."""
+    from hir_plugins.reflectance_renderers.mitsuba_ggx import mitsuba_mesh
 
-    def counted(self: Rerender, asset: Asset) -> dict[str, Image]:
-        samples.append(self._samples)
-        return original(self, asset)
+    prepared = []
 
-    monkeypatch.setattr(Rerender, "_pictures", counted)
-    costs = verified(ball("dielectric"), tmp_path, brighten).report["costs"]
-    assert costs["the material"] < 35 and costs["the mesh"] > 45 and costs["the light"] > 45
-    assert samples.count(16 * RETRY_SAMPLE_FACTOR) == 3, "the fitted scene, the file, its material"
+    class Counted(mitsuba_mesh.Surface):
+        def __init__(self, mesh: Mesh) -> None:
+            prepared.append(mesh)
+            super().__init__(mesh)
+
+    monkeypatch.setattr(mitsuba_mesh, "Surface", Counted)
+    assert "the light" in verified(ball("dielectric"), tmp_path, brighten).report["costs"]
+    assert len(prepared) == 3
 
 
 def test_a_profile_that_cannot_represent_the_material_is_reported(tmp_path: Path) -> None:
