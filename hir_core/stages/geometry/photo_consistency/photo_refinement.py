@@ -22,7 +22,13 @@ from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
-from hir_core.stages.geometry.confirmed_movement import HeldOutEvaluation, HeldOutIou, confirmed_movement, interpolated
+from hir_core.stages.geometry.confirmed_movement import (
+    HeldOutEvaluation,
+    HeldOutIou,
+    confirmed_movement,
+    confirmed_share,
+    interpolated,
+)
 from hir_core.stages.geometry.photo_consistency.detail_images import DetailImages, finest_downsample
 from hir_core.stages.geometry.photo_consistency.photo_consistency_report import (
     ErrorChange,
@@ -57,6 +63,10 @@ LEAST_FINE_GAIN = 0.03
 """The same of the fine candidate against the smooth one. Where there is nothing to carve it roughens the normals;
 photo-consistency does not measure that, but highlights show it."""
 
+LEAST_EARLY_GAIN = 0.01
+"""Relative fall of the error of judging views after the coarsest of several resolutions, its standard error added,
+below which nothing finer is fitted (docs/studies/photo_consistency.md#early-end)."""
+
 LEAST_ERROR = 1e-4
 """Below it there is nothing to lower: photographs without detail are consistent with every surface."""
 
@@ -72,8 +82,8 @@ def refine_by_photo_consistency(
     """The refined mesh, or the initial one where no part of the refinement is confirmed, and the report.
 
     `capture` has the object centred and of radius about 1; `iou(mesh, views)` is differentiable. The views `held_out`
-    take no part in the fit; others that judge with them join its last pass. Without them, or without overlapping views,
-    the mesh is returned as it is and the report says why.
+    take no part in the fit; others that judge with them join its last pass. Without them, without overlapping views, or
+    where the coarsest of several resolutions gains nothing, the mesh is returned as it is and the report says why.
     """
     views, takes = capture.views, capture.take_numbers
     judges = judging_views(len(views), held_out, takes)
@@ -85,8 +95,13 @@ def refine_by_photo_consistency(
     factors = _downsample_factors(capture, settings.downsample)
     finest = DetailImages.of(views, factors[-1], mesh.positions.device)
 
-    def evaluated(candidate: Mesh) -> HeldOutEvaluation:
-        return evaluate_held_out(candidate, finest, neighbours, judges, held_out, iou, context.seed)
+    def evaluated(candidate: Mesh, details: DetailImages = finest) -> HeldOutEvaluation:
+        return evaluate_held_out(candidate, details, neighbours, judges, held_out, iou, context.seed)
+
+    def is_promising(candidate: Mesh, details: DetailImages) -> bool:
+        errors = np.stack([evaluated(each, details).errors for each in (mesh, candidate)])
+        early = confirmed_share((0.0, 1.0), errors, LEAST_GAIN)
+        return early.gain + early.noise >= LEAST_EARLY_GAIN
 
     before = evaluated(mesh)
     if not np.nanmax(before.errors, initial=0.0) > LEAST_ERROR:
@@ -102,6 +117,11 @@ def refine_by_photo_consistency(
             fitted, curve = fit_pass(initial, details, neighbours, train, iou, settings, context, plan, last.end)
             candidates |= dict.fromkeys(candidates if plan.shared else [plan.smoothness], fitted)
             reports.append(_pass_report(plan, curve))
+            if plan.shared and not is_promising(fitted, details):
+                least = f"{100 * LEAST_EARLY_GAIN:g} %"
+                return mesh, PhotoConsistencySkipped(
+                    f"at the coarsest resolution the judging views gain less than {least}"
+                )
     smooth, fine = candidates.values()
     to_fine, _ = confirmed_movement(smooth, fine, evaluated, LINE, LEAST_FINE_GAIN)
     selected = interpolated(smooth, fine, to_fine.share)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
 from hir_core.stages.geometry.confirmed_movement import confirmed_share, interpolated
 from hir_core.stages.geometry.geometry_fit import fit_geometry
+from hir_core.stages.geometry.photo_consistency import photo_refinement
 from hir_core.stages.geometry.photo_consistency.detail_images import WINDOW_PIXELS, DetailImages, box_blur
 from hir_core.stages.geometry.photo_consistency.photo_consistency_report import (
     PhotoConsistencyReport,
@@ -182,6 +185,35 @@ def test_without_detail_the_mesh_stays_as_the_silhouette_fit_left_it(hollow: tup
     assert not report.photo_consistency.accepted
     assert torch.equal(both.scene.mesh.positions, outlines.scene.mesh.positions)
     assert both.silhouette_positions is None
+
+
+@pytest.mark.parametrize(("found", "passes"), [(0.0, 1), (0.02, 1), (1.0, 4)])
+def test_finer_photographs_are_used_where_the_coarsest_ones_gain(
+    found: float,
+    passes: int,
+    hollow: tuple[Positions, Faces],
+    capture: Capture,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each pass finds a share of the bowl. Two passes of the finest photographs and the last one follow the first."""
+    ball, bowl = mesh_of(*icosphere(5)), mesh_of(*hollow)
+    plans = []
+
+    def scripted(mesh: Mesh, *others: Any) -> tuple[Mesh, np.ndarray]:
+        plans.append(others[-2])
+        return interpolated(ball, bowl, found), np.zeros(1)
+
+    monkeypatch.setattr(photo_refinement, "fit_pass", scripted)
+    held_out = held_out_for_geometry(len(capture.views), SETTINGS.held_out)
+    fitted, report = photo_refinement.refine_by_photo_consistency(
+        ball, capture, lambda _, views: torch.ones(len(views)), held_out, SETTINGS, _context(tmp_path)
+    )
+    assert [plan.downsample for plan in plans] == [2, 1, 1, 1][:passes]
+    if passes == 1:
+        assert fitted is ball and isinstance(report, PhotoConsistencySkipped) and "coarsest" in report.reason
+    else:
+        assert isinstance(report, PhotoConsistencyReport) and report.movement.share > 0.5
 
 
 def test_photographs_agree_best_about_the_true_surface(hollow: tuple[Positions, Faces], capture: Capture) -> None:
