@@ -19,7 +19,7 @@ from torch import Tensor
 
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.scene import Mesh, Topology
-from hir_core.stages.geometry.occlusion_boundaries.depth_jumps import LEAST_JUMP_PIXELS
+from hir_core.stages.geometry.depth_jumps import LEAST_JUMP_PIXELS
 from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewPhotographs
 
 BESIDE_PIXELS = 0.25

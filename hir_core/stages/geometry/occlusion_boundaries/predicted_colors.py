@@ -13,7 +13,7 @@ from torch.nn.functional import normalize
 
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.scene import Mesh
-from hir_core.stages.geometry.occlusion_boundaries.depth_jumps import (
+from hir_core.stages.geometry.depth_jumps import (
     LEAST_JUMP_PIXELS,
     beside_jumps,
     depth_factor,
@@ -162,8 +162,8 @@ def _observed(
     colors, covered = photographs.colors_at(row, pixels)
     angle = photographs.pixel_angle(view)
     camera = photographs.cameras[view]
-    depth = depth_map(tracer, camera, photographs.inside[view].cpu().numpy())
     factor = depth_factor(camera)
+    depth = depth_map(tracer, camera, photographs.inside[view].cpu().numpy(), factor)
     jumps = torch.from_numpy(beside_jumps(depth, angle * factor, MARGIN_PIXELS // factor)).to(device)
     x, y = (torch.where(covered[:, None], pixels, 0.0) / factor).long().unbind(1)
     y, x = y.clamp(0, depth.shape[0] - 1), x.clamp(0, depth.shape[1] - 1)

@@ -29,6 +29,7 @@ from hir_core.stages.geometry.confirmed_movement import (
     confirmed_share,
     interpolated,
 )
+from hir_core.stages.geometry.photo_consistency.compared_pixels import away_from_occlusion_boundaries
 from hir_core.stages.geometry.photo_consistency.detail_images import DetailImages, finest_downsample
 from hir_core.stages.geometry.photo_consistency.photo_consistency_report import (
     ErrorChange,
@@ -64,7 +65,7 @@ LEAST_FINE_GAIN = 0.03
 photo-consistency does not measure that, but highlights show it."""
 
 LEAST_EARLY_GAIN = 0.01
-"""Relative fall of the error of judging views after the coarsest of several resolutions, its standard error added,
+"""Relative fall of the error of judging views after the coarsest of several resolutions, two standard errors added,
 below which nothing finer is fitted (docs/studies/photo_consistency.md#early-end)."""
 
 LEAST_ERROR = 1e-4
@@ -93,15 +94,21 @@ def refine_by_photo_consistency(
     if not judges or not any(neighbours[i] for i in train):
         return mesh, PhotoConsistencySkipped("too few views that overlap and could be held out")
     factors = _downsample_factors(capture, settings.downsample)
-    finest = DetailImages.of(views, factors[-1], mesh.positions.device)
+
+    def details_at(factor: int) -> DetailImages:
+        return away_from_occlusion_boundaries(DetailImages.of(views, factor, mesh.positions.device), mesh)
+
+    finest = details_at(factors[-1])
 
     def evaluated(candidate: Mesh, details: DetailImages = finest) -> HeldOutEvaluation:
         return evaluate_held_out(candidate, details, neighbours, judges, held_out, iou, context.seed)
 
     def is_promising(candidate: Mesh, details: DetailImages) -> bool:
         errors = np.stack([evaluated(each, details).errors for each in (mesh, candidate)])
+        if np.isfinite(errors).all(axis=0).sum() < 2:
+            return True  # no window is away from boundaries; finer photographs have smaller ones
         early = confirmed_share((0.0, 1.0), errors, LEAST_GAIN)
-        return early.gain + early.noise >= LEAST_EARLY_GAIN
+        return early.gain + 2 * early.noise >= LEAST_EARLY_GAIN
 
     before = evaluated(mesh)
     if not np.nanmax(before.errors, initial=0.0) > LEAST_ERROR:
@@ -111,7 +118,7 @@ def refine_by_photo_consistency(
     passes, last = plan_passes(factors, settings.photo_consistency_iterations)
     for downsample, plans in groupby(passes, key=lambda plan: plan.downsample):
         coarse = downsample != factors[-1]
-        details = DetailImages.of(views, downsample, mesh.positions.device) if coarse else finest
+        details = details_at(downsample) if coarse else finest
         for plan in plans:
             initial = candidates[plan.smoothness]
             fitted, curve = fit_pass(initial, details, neighbours, train, iou, settings, context, plan, last.end)

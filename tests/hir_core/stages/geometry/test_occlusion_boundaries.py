@@ -21,7 +21,6 @@ from hir_core.stages.geometry.occlusion_boundaries.boundary_report import (
     OcclusionBoundariesSkipped,
 )
 from hir_core.stages.geometry.occlusion_boundaries.boundary_samples import EdgeFaces, find_boundaries
-from hir_core.stages.geometry.occlusion_boundaries.depth_jumps import beside_jumps
 from hir_core.stages.geometry.occlusion_boundaries.predicted_colors import VertexColors
 from hir_core.stages.geometry.occlusion_boundaries.view_photographs import ViewPhotographs
 from hir_core.stages.geometry.photo_consistency.photo_residuals import neighbouring_views, ray_structure
@@ -234,16 +233,6 @@ def test_colours_at_the_border_and_of_unknown_pixels_are_finite() -> None:
     assert torch.isfinite(color).all()
     assert covered.tolist() == [True, False, False, False, False]
     assert color[0, 0] == pytest.approx(0.735, abs=0.005)  # 0.5 in sRGB
-
-
-def test_depth_jumps_are_steps_and_not_slopes() -> None:
-    x = np.arange(40, dtype=np.float32)
-    slope = np.tile(2 + 0.02 * x, (20, 1)).astype(np.float32)
-    assert not beside_jumps(slope, 0.01, 2)[:, 2:-2].any()
-    step = np.where(x < 20, 2.0, 2.2) + 0 * slope
-    found = beside_jumps(step.astype(np.float32), 0.01, 2)
-    assert found[:, 18:22].all() and not found[:, :17].any() and not found[:, 23:].any()
-    assert not beside_jumps(np.full((5, 5), np.inf, np.float32), 0.01, 1).any()
 
 
 def test_a_view_is_predicted_from_the_others(cup_capture: Capture) -> None:

@@ -17,11 +17,12 @@ LEAST_JUMP_PIXELS = 3.0
 """In widths of a pixel at the surface. A smaller jump moves colours by little from one view to the next."""
 
 
-def depth_map(tracer: MeshQueries, camera: Camera, mask: Bool[NDArray[np.bool_], "H W"]) -> NDArray[np.float32]:
-    """Distance of the mesh from the camera at pixels in or beside the mask (H, W), at 1/`depth_factor` of its
-    resolution; infinite elsewhere.
+def depth_map(
+    tracer: MeshQueries, camera: Camera, mask: Bool[NDArray[np.bool_], "H W"], factor: int
+) -> NDArray[np.float32]:
+    """Distance of the mesh from the camera at pixels in or beside the mask (H, W), at 1/`factor` of its resolution;
+    infinite elsewhere.
     """
-    factor = depth_factor(camera)
     camera = camera.downsampled(factor)
     height, width = camera.height, camera.width
     depth = np.full((height, width), np.inf, np.float32)
@@ -37,11 +38,15 @@ def depth_factor(camera: Camera) -> int:
 
 
 def beside_jumps(
-    depth: Float[NDArray[np.float32], "H W"], pixel_angle: float, margin: int
+    depth: Float[NDArray[np.float32], "H W"],
+    pixel_angle: float,
+    margin: int,
+    least_jump: float = LEAST_JUMP_PIXELS,
+    outlines: bool = True,
 ) -> Bool[NDArray[np.bool_], "H W"]:
-    """The pixels within `margin` (at least 1) of a jump or of the outline.
+    """The pixels within `margin` (at least 1) of a jump and, with `outlines`, of the border of the mesh.
 
-    `pixel_angle` is the width of a pixel at distance 1.
+    `pixel_angle` is the width of a pixel at distance 1, `least_jump` the smallest jump in widths of a pixel.
     """
     finite = np.isfinite(depth)
     known = np.where(finite, depth, 0.0)
@@ -49,8 +54,8 @@ def beside_jumps(
     for axis in (0, 1):
         near, far = (np.take(known, range(a, depth.shape[axis] - 1 + a), axis) for a in (0, 1))
         hit_near, hit_far = (np.take(finite, range(a, depth.shape[axis] - 1 + a), axis) for a in (0, 1))
-        jump = np.abs(near - far) > LEAST_JUMP_PIXELS * pixel_angle * np.minimum(near, far)
-        jump = (jump & hit_near & hit_far) | (hit_near != hit_far)
+        jump = np.abs(near - far) > least_jump * pixel_angle * np.minimum(near, far)
+        jump = (jump & hit_near & hit_far) | (outlines & (hit_near != hit_far))
         first = [slice(None), slice(None)]
         second = [slice(None), slice(None)]
         first[axis], second[axis] = slice(None, -1), slice(1, None)
