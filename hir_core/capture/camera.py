@@ -28,6 +28,11 @@ class Camera:
         """Position in the world (3,)."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
+    @property
+    def focal_length(self) -> float:
+        """In pixels, the geometric mean of both directions; its inverse is the width of a pixel at distance 1."""
+        return float(np.sqrt(abs(np.linalg.det(self.intrinsics[:2, :2]))))
+
     def project(self, points: Array) -> tuple[Array, Array]:
         """Pixels (N, 2) and depths (N,) of world points (N, 3), without distortion; depth ≤ 0 is behind the camera."""
         local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]

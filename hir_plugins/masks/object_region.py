@@ -55,11 +55,10 @@ def draw_discs(points: Array, camera: Camera, radius: float) -> NDArray[np.bool_
 
     picture = np.zeros((camera.height, camera.width), np.uint8)
     pixels, depth = camera.project(points)
-    focal = float(np.sqrt(abs(np.linalg.det(camera.intrinsics[:2, :2]))))
     limit = max(camera.width, camera.height)
     for (x, y), z in zip(pixels, depth, strict=True):
         if z > 0 and abs(x) < 2 * limit and abs(y) < 2 * limit:
-            cv2.circle(picture, (round(x), round(y)), max(1, round(radius * focal / z)), 255, -1)
+            cv2.circle(picture, (round(x), round(y)), max(1, round(radius * camera.focal_length / z)), 255, -1)
     return picture > 0
 
 

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 VIEWS: Final = 4
 """Number of cameras that a file is rendered from, evenly spaced over those of the run."""
 
-NOISES: Final = 2
-"""Renders of each picture, whose noise is independent: the product of their differences has no noise term."""
-
 
 class Rerender:
     """Renders the fitted scene once, and compares files with it.
@@ -55,8 +52,8 @@ class Rerender:
             names[i]: _small(cameras[names[i]].transformed(working_from_asset), side) for i in chosen if names
         }
         self._working_from_asset, self._asset, self._device = working_from_asset, asset, device
-        of_each = -(-samples // NOISES)
-        self._samples, self._side = NOISES * of_each, side
+        of_each = -(-samples // 2)
+        self._samples, self._side = 2 * of_each, side
         self._name, self._renderer = reference_renderer(
             plugins, "", {"render_samples": of_each}, bounces, light=asset.environment
         )
@@ -64,7 +61,7 @@ class Rerender:
         self.light_in_world = asset.environment is not None and asset.environment.frame == "world"
 
     @cached_property
-    def _fitted(self) -> dict[str, list[Image]]:
+    def _fitted(self) -> dict[str, tuple[Image, Image]]:
         return self._pictures(self._asset)
 
     def compare(self, written: DecodedAsset, light: AssetEnvironment | None) -> dict[str, Any]:
@@ -87,7 +84,8 @@ class Rerender:
             "psnr": {"object": _mean(views), "views": views},
         }
         if _mean(views) < GOOD_PSNR:
-            # one part at a time: material and normals of the fit belong to its own UVs
+            # one part at a time: material and normals of the fit belong to its own UVs; the mesh first, since the
+            # renderer has just prepared it
             parts = {
                 "the mesh": replace(self._asset, mesh=written.mesh),
                 "the material": replace(self._asset, material=written.material),
@@ -97,16 +95,17 @@ class Rerender:
             result["costs"] = {name: _mean(self._views(part)) for name, part in parts.items()}
         return result
 
-    def _pictures(self, asset: Asset) -> dict[str, list[Image]]:
-        """Two renders from each camera."""
+    def _pictures(self, asset: Asset) -> dict[str, tuple[Image, Image]]:
+        """Two renders from each camera, with independent noise: the product of their differences has no noise term."""
         scene: Scene = move_scene(scene_from_asset(asset), self._working_from_asset).to(self._device)
         if self._last_mesh is not None and self._last_mesh[0] is asset.mesh:
             scene = replace(scene, mesh=self._last_mesh[1])  # what the renderer prepared for it serves again
         self._last_mesh = asset.mesh, scene.mesh
-        return {
-            name: [render_view(self._renderer, scene, camera, f"{name} {noise}") for noise in range(NOISES)]
-            for name, camera in self._cameras.items()
-        }
+
+        def rendered(name: str, noise: str) -> Image:
+            return render_view(self._renderer, scene, self._cameras[name], f"{name} {noise}")
+
+        return {name: (rendered(name, "first"), rendered(name, "second")) for name in self._cameras}
 
     def _views(self, asset: Asset) -> dict[str, float]:
         """PSNR of each camera's picture of an asset against that of the fitted scene, without the noise of both."""

@@ -60,7 +60,7 @@ class HullField:
         sizes = []
         for field in self.fields:
             depth = float(np.linalg.norm(field.camera.center - self.center))
-            sizes.append(depth / float(np.sqrt(abs(np.linalg.det(field.camera.intrinsics[:2, :2])))))
+            sizes.append(depth / field.camera.focal_length)
         return float(np.median(sizes)) / self.radius
 
     def per_view(self, points: Tensor) -> Tensor:
@@ -127,8 +127,9 @@ def _view_tensors(field: SilhouetteField, world_from_unit: Array) -> _ViewTensor
     # composed in float64, without the world's position and scale, before the conversion to float32
     pose = field.camera.world_to_camera @ world_from_unit
     projection = field.camera.intrinsics @ pose[:3] / world_from_unit[0, 0]
-    focal = float(np.sqrt(abs(np.linalg.det(field.camera.intrinsics[:2, :2]))))
-    return _ViewTensors(torch.from_numpy(projection).float(), torch.from_numpy(field.distance)[None, None], focal)
+    return _ViewTensors(
+        torch.from_numpy(projection).float(), torch.from_numpy(field.distance)[None, None], field.camera.focal_length
+    )
 
 
 def _sample(view: _ViewTensors, points: Tensor) -> Tensor:

@@ -134,8 +134,7 @@ def _tangent_to_ray(inverse: Tensor, camera: Camera) -> Tensor:
     along_x, along_y = torch.zeros_like(depth), torch.zeros_like(depth)
     along_x[:, 1:-1] = (depth[:, 2:] - depth[:, :-2]) / 2
     along_y[1:-1] = (depth[2:] - depth[:-2]) / 2
-    focal = float(np.sqrt(abs(np.linalg.det(camera.intrinsics[:2, :2]))))
-    return torch.hypot(along_x, along_y) * focal / depth.clamp_min(1e-6)
+    return torch.hypot(along_x, along_y) * camera.focal_length / depth.clamp_min(1e-6)
 
 
 def _crosses_depth_edge(view: SweptView, window: int, jump: float) -> Tensor:

@@ -14,32 +14,30 @@ import numpy as np
 import torch
 
 from hir_core.mesh.ray_casting import MeshQueries
-from hir_core.scene import Mesh
 from hir_core.stages.geometry.depth_jumps import beside_jumps, depth_map
-from hir_core.stages.geometry.photo_consistency.detail_images import DetailImages
+from hir_core.stages.geometry.photo_consistency.detail_images import DetailImages, whole_squares
 
-LEAST_JUMP_PIXELS: Final = 20.0
-"""In widths of a pixel at the surface. Behind a smaller step the surface moves with the one in front from one view to
-the next (docs/studies/photo_consistency.md#beside-occlusion-boundaries)."""
+SEPARATE_SURFACES_PIXELS: Final = 20.0
+"""Depth between two surfaces, in widths of a pixel, from which a window that contains both is left out. Windows over
+smaller steps do no harm (docs/studies/photo_consistency.md#beside-occlusion-boundaries)."""
 
 MARGIN_PIXELS: Final = 5
 """Beyond it 2 % of a window (two boxes of `WINDOW_PIXELS`) lie on the other side of the boundary."""
 
 
-def away_from_occlusion_boundaries(details: DetailImages, mesh: Mesh) -> DetailImages:
-    """The same images without the pixels beside occlusion boundaries of the mesh: they are neither drawn nor looked
-    up. Outlines are left as they are, because windows there leave out what is beyond the mask.
+def away_from_occlusion_boundaries(details: DetailImages, tracer: MeshQueries) -> DetailImages:
+    """The same images without the pixels beside occlusion boundaries of the mesh of `tracer`: they are neither drawn
+    nor looked up. Outlines are left as they are, because windows there leave out what is beyond the mask.
     """
-    tracer = MeshQueries(mesh.positions.detach().cpu().numpy(), mesh.faces.cpu().numpy())
     square_inside, pixels = details.square_inside.clone(), []
     for view, camera in enumerate(details.cameras):
         inside = np.zeros((camera.height, camera.width), bool)
         x, y = details.pixels[view].T
         inside[y, x] = True
         depth = depth_map(tracer, camera, inside, 1)
-        pixel_angle = 1 / float(np.sqrt(abs(np.linalg.det(camera.intrinsics[:2, :2]))))
-        inside &= ~beside_jumps(depth, pixel_angle, MARGIN_PIXELS, LEAST_JUMP_PIXELS, outlines=False)
+        pixel_angle = 1 / camera.focal_length
+        inside &= ~beside_jumps(depth, pixel_angle, MARGIN_PIXELS, SEPARATE_SURFACES_PIXELS, outlines=False)
         pixels.append(np.argwhere(inside)[:, ::-1].astype(np.int32))
-        square = torch.from_numpy(inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:])
-        square_inside[view, : camera.height - 1, : camera.width - 1] &= square.to(square_inside.device)
+        squares = whole_squares(torch.from_numpy(inside)).to(square_inside.device)
+        square_inside[view, : camera.height - 1, : camera.width - 1] &= squares
     return replace(details, square_inside=square_inside, pixels=tuple(pixels))

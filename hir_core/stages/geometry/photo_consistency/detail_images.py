@@ -62,8 +62,7 @@ class DetailImages:
             detail, mask = detail_image(view, downsample)
             h, w = mask.shape
             images[i, :h, :w] = detail.half().permute(1, 2, 0).to(device)
-            square = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1] & mask[1:, 1:]
-            square_inside[i, : h - 1, : w - 1] = square.to(device)
+            square_inside[i, : h - 1, : w - 1] = whole_squares(mask).to(device)
             pixels.append(np.argwhere(mask.numpy())[:, ::-1].astype(np.int32))
         return cls(images, square_inside, tuple(pixels), cameras, tuple(view.name for view in views))
 
@@ -104,6 +103,11 @@ def detail_image(view: View, downsample: int) -> tuple[Float[Tensor, "3 H W"], B
     # beside the outline half of the window is empty, and the detail depends on the view
     whole = -torch.nn.functional.max_pool2d(-covered, 5, 1, 2)
     return detail / (contrast + LEAST_CONTRAST_SRGB**2).sqrt(), whole[0] > 0.5
+
+
+def whole_squares(inside: Bool[Tensor, "H W"]) -> Bool[Tensor, "H-1 W-1"]:
+    """Whether a pixel and those to its right, below it and below to the right are inside."""
+    return inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:]
 
 
 def box_blur(image: Float[Tensor, "C H W"]) -> Float[Tensor, "C H W"]:

@@ -9,7 +9,7 @@ from hir_core.stages.geometry.confirmed_movement import ConfirmedShare, HeldOutI
 
 @dataclass(frozen=True)
 class PhotoConsistencySkipped:
-    """The photographs were not compared, and why."""
+    """The mesh was left as it was, and why."""
 
     reason: str
     accepted: bool = False

@@ -45,7 +45,7 @@ from hir_core.stages.geometry.photo_consistency.photo_pass import (
     fit_pass,
     plan_passes,
 )
-from hir_core.stages.geometry.photo_consistency.photo_residuals import neighbouring_views
+from hir_core.stages.geometry.photo_consistency.photo_residuals import neighbouring_views, ray_structure
 from hir_core.stages.held_out_views import judging_views
 
 COARSEST_FACTOR = 4
@@ -95,20 +95,25 @@ def refine_by_photo_consistency(
         return mesh, PhotoConsistencySkipped("too few views that overlap and could be held out")
     factors = _downsample_factors(capture, settings.downsample)
 
+    tracer = ray_structure(mesh)
+
     def details_at(factor: int) -> DetailImages:
-        return away_from_occlusion_boundaries(DetailImages.of(views, factor, mesh.positions.device), mesh)
+        return away_from_occlusion_boundaries(DetailImages.of(views, factor, mesh.positions.device), tracer)
 
     finest = details_at(factors[-1])
 
     def evaluated(candidate: Mesh, details: DetailImages = finest) -> HeldOutEvaluation:
         return evaluate_held_out(candidate, details, neighbours, judges, held_out, iou, context.seed)
 
-    def is_promising(candidate: Mesh, details: DetailImages) -> bool:
+    def why_no_finer(candidate: Mesh, details: DetailImages) -> str:
         errors = np.stack([evaluated(each, details).errors for each in (mesh, candidate)])
         if np.isfinite(errors).all(axis=0).sum() < 2:
-            return True  # no window is away from boundaries; finer photographs have smaller ones
+            return ""  # no window is away from boundaries; finer photographs have smaller ones
         early = confirmed_share((0.0, 1.0), errors, LEAST_GAIN)
-        return early.gain + 2 * early.noise >= LEAST_EARLY_GAIN
+        if early.gain + 2 * early.noise >= LEAST_EARLY_GAIN:
+            return ""
+        gain, noise = 100 * early.gain, 100 * early.noise
+        return f"at the coarsest resolution the judging views gain {gain:.1f} ± {noise:.1f} %, too little to go on"
 
     before = evaluated(mesh)
     if not np.nanmax(before.errors, initial=0.0) > LEAST_ERROR:
@@ -124,11 +129,8 @@ def refine_by_photo_consistency(
             fitted, curve = fit_pass(initial, details, neighbours, train, iou, settings, context, plan, last.end)
             candidates |= dict.fromkeys(candidates if plan.shared else [plan.smoothness], fitted)
             reports.append(_pass_report(plan, curve))
-            if plan.shared and not is_promising(fitted, details):
-                least = f"{100 * LEAST_EARLY_GAIN:g} %"
-                return mesh, PhotoConsistencySkipped(
-                    f"at the coarsest resolution the judging views gain less than {least}"
-                )
+            if plan.shared and (reason := why_no_finer(fitted, details)):
+                return mesh, PhotoConsistencySkipped(reason)
     smooth, fine = candidates.values()
     to_fine, _ = confirmed_movement(smooth, fine, evaluated, LINE, LEAST_FINE_GAIN)
     selected = interpolated(smooth, fine, to_fine.share)

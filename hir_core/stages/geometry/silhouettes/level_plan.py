@@ -54,4 +54,4 @@ def _pixel_size(mesh: Mesh, camera: Camera) -> float:
     positions = mesh.positions.detach().cpu().numpy().astype(np.float64)
     centre = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
     depth = abs(float(camera.world_to_camera[2, :3] @ centre + camera.world_to_camera[2, 3]))
-    return depth / float(np.sqrt(abs(np.linalg.det(camera.intrinsics[:2, :2]))))
+    return depth / camera.focal_length

@@ -79,7 +79,7 @@ class SequenceProgress:
                 step = cost * max(share - reported, 0.0)
                 remaining = max(self._expected, self._begun) - self._done
                 if step > 0:
-                    self._share += (1 - self._share) * min(step / max(remaining, step), 1.0)
+                    self._share += (1 - self._share) * step / max(remaining, step)
                 self._done += step
                 reported = max(share, reported)
                 self._progress(spec.name, min(self._share, 1.0))

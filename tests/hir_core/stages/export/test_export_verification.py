@@ -131,8 +131,8 @@ def test_noise_of_few_paths_does_not_count_as_an_error(tmp_path: Path) -> None:
         for paths in (4, 256)
     )
     assert (few["samples"], many["samples"]) == (4, 256)
-    assert few["psnr"]["object"] == pytest.approx(many["psnr"]["object"], abs=0.3)
-    assert few["costs"]["the material"] == pytest.approx(many["costs"]["the material"], abs=0.3)
+    assert few["psnr"]["object"] == pytest.approx(many["psnr"]["object"], abs=0.2)
+    assert few["costs"]["the material"] == pytest.approx(many["costs"]["the material"], abs=0.2)
     assert few["costs"]["the mesh"] > 60 and few["costs"]["the light"] > 60
 
 

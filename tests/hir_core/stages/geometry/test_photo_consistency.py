@@ -217,7 +217,7 @@ def test_finer_photographs_are_used_where_the_coarsest_ones_gain(
     if passes == 1:
         assert fitted is ball and isinstance(report, PhotoConsistencySkipped) and "coarsest" in report.reason
     else:
-        assert isinstance(report, PhotoConsistencyReport) and report.movement.share > 0.5
+        assert isinstance(report, PhotoConsistencyReport) and report.movement.share > 0.8
 
 
 def test_photographs_agree_best_about_the_true_surface(hollow: tuple[Positions, Faces], capture: Capture) -> None:
@@ -239,7 +239,7 @@ def test_pixels_beside_an_occlusion_boundary_are_not_compared() -> None:
     both = np.concatenate([faces, faces + len(large)])
     view = camera_at(96, (4.0, 0.0, 0.0))
     details = DetailImages.of(_photographed(positions, both, [view]).views, 1)
-    kept = away_from_occlusion_boundaries(details, mesh_of(positions, both))
+    kept = away_from_occlusion_boundaries(details, ray_structure(mesh_of(positions, both)))
     before, found = (np.zeros((96, 96), bool) for _ in range(2))
     for mask, compared in ((before, details), (found, kept)):
         x, y = compared.pixels[0].T
@@ -247,9 +247,9 @@ def test_pixels_beside_an_occlusion_boundary_are_not_compared() -> None:
     rows, columns = np.mgrid[:96, :96] + 0.5
     from_border = np.abs(np.hypot(rows - 48, columns - 48) - view.intrinsics[0, 0] * 0.3 / np.sqrt(1.8**2 - 0.3**2))
     assert before[from_border < 4].all() and not found[from_border < 4].any()
-    assert np.array_equal(found[from_border > 8], before[from_border > 8])
+    assert np.array_equal(found[from_border > 6], before[from_border > 6])
     assert not kept.square_inside[0].numpy()[~found].any()
-    alone = away_from_occlusion_boundaries(details, mesh_of(large, faces))
+    alone = away_from_occlusion_boundaries(details, ray_structure(mesh_of(large, faces)))
     assert np.array_equal(alone.pixels[0], details.pixels[0]) and torch.equal(
         alone.square_inside, details.square_inside
     )
