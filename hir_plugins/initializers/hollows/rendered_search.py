@@ -31,6 +31,9 @@ from hir_plugins.initializers.surface.volume import Volume
 SAMPLES, SAMPLES_OF_ALL = 16, 4
 """Paths for each pixel of a window, and for each pixel of the object where openings are looked for."""
 
+Pictures = Callable[[int], Sequence[NDArray[np.float32]]]
+"""From paths for each pixel: the fitted mesh with all its maps as each photograph shows it."""
+
 LEAST_REDUCTION, PROMISING = 0.5, 0.25
 """Share of the error of the surface before it that a hollow must save, and from which its outline is refined."""
 
@@ -101,7 +104,7 @@ def find_rendered_hollows(
     if not (volume.values > 0).any():
         return []
     solid = Solid.of(volume.values > 0)
-    pictures = cache(lambda: appearance.fitted_pictures(photographs, SAMPLES, seed))
+    pictures = cache(lambda samples: appearance.fitted_pictures(photographs, samples, seed))
     found: list[RenderedHollow] = []
     while len(found) < most:
         hollow = _find_hollow(volume, solid, photographs, appearance, seed, pictures)
@@ -119,8 +122,7 @@ class _RenderedSearch(OutlineSearch):
     photographs: Sequence[BlurredPhotograph]
     appearance: Appearance
     seed: int
-    pictures: Callable[[], Sequence[NDArray[np.float32]]]
-    """The fitted mesh with all its maps as each photograph shows it."""
+    pictures: Pictures
 
     def errors(self, volume: Volume) -> Floats:
         """Of the volume with the fitted material and light."""
@@ -174,9 +176,11 @@ class _RenderedSearch(OutlineSearch):
             len(self.before),
         )
 
-    def explained_by_maps(self) -> float:
-        """Share of the variance of the pixels that the fitted mesh explains with all its maps."""
-        pictures = self.pictures()
+    def explained_by_maps(self, samples: int = SAMPLES) -> float:
+        """Share of the variance of the pixels that the fitted mesh explains with all its maps, rendered with so many
+        paths for each pixel.
+        """
+        pictures = self.pictures(samples)
         errors = {
             i: ((pictures[i] - self.photographs[i].colors)[chosen[:, 1], chosen[:, 0]] ** 2).sum(axis=1)
             for i, chosen in self.window.pixels.items()
@@ -204,25 +208,32 @@ def _find_hollow(
     photographs: Sequence[BlurredPhotograph],
     appearance: Appearance,
     seed: int,
-    pictures: Callable[[], Sequence[NDArray[np.float32]]],
+    pictures: Pictures,
 ) -> RenderedHollow | None:
-    """The hollow that saves most; None where no candidate saves enough."""
+    """The hollow that saves most; None where no candidate saves enough.
+
+    Openings that the fitted maps explain well are not sunk. A few paths show it: noise lowers the share.
+    """
     cells = surface_cells(volume.values > 0)
     error, count = _errors_of_cells(volume, cells, photographs, appearance, seed)
 
-    def search_of(opening: Opening) -> _RenderedSearch | None:
+    def without_errors(opening: Opening) -> _RenderedSearch | None:
         """None where too few photographs look in."""
         window = window_of(volume, opening, photographs, seed)
         if window is None:
             return None
         wall = wall_distance(solid, opening.grown(max(FIRST_STEPS)))
-        search = _RenderedSearch(volume, window, np.zeros(0), wall, photographs, appearance, seed, pictures)
-        return search.with_errors_before()
+        return _RenderedSearch(volume, window, np.zeros(0), wall, photographs, appearance, seed, pictures)
+
+    def search_of(opening: Opening) -> _RenderedSearch | None:
+        search = without_errors(opening)
+        return None if search is None else search.with_errors_before()
 
     searches = []
     for opening in find_openings(volume, cells, error, count >= LEAST_VIEWS_OF_CELL)[:CANDIDATES]:
-        search = search_of(opening)
-        if search is not None:
+        search = without_errors(opening)
+        if search is not None and search.explained_by_maps(SAMPLES_OF_ALL) < WELL_EXPLAINED:
+            search = search.with_errors_before()
             sunk_once = search.best(opening, search.depths(opening)[-1::-2])
             searches.append((search.saved(sunk_once) * int(opening.region.sum()), search, sunk_once))
     rejected: list[Opening] = []

@@ -61,7 +61,7 @@ STEPS_PER_COLORS = 36
 """Vertices are coloured anew after so many steps; a multiple of `STEPS_PER_RAY_STRUCTURE`, so that a run that continues
 from a checkpoint does the same."""
 
-EARLY_STEPS = 2 * STEPS_PER_COLORS
+EARLY_STEPS = (STEPS_PER_COLORS, 2 * STEPS_PER_COLORS)
 """After so many steps the judging views are asked whether to go on."""
 
 LEAST_EARLY_GAIN = 0.001
@@ -133,7 +133,7 @@ def refine_occlusion_boundaries(
     fitted, curve = _fit(mesh, fit, settings, context, [view.name for view in capture.views], is_promising)
     if fitted is None:
         least = f"{100 * LEAST_EARLY_GAIN:g} %"
-        return mesh, OcclusionBoundariesSkipped(f"after {EARLY_STEPS} steps the judging views gain less than {least}")
+        return mesh, OcclusionBoundariesSkipped(f"after {len(curve)} steps the judging views gain less than {least}")
     movement, (before, after) = confirmed_movement(mesh, fitted, evaluated, LINE, LEAST_GAIN)
     part = max(1, len(curve) // 10)
     report = OcclusionBoundariesReport(
@@ -275,7 +275,7 @@ def _fit(
         return nonfinite_views(current, views, names, lambda moved, view: fit.boundary_error(moved, [view]))
 
     def ends(step: int) -> bool:
-        if step + 1 != EARLY_STEPS:
+        if step + 1 not in EARLY_STEPS:
             return False
         with torch.no_grad():
             return not is_promising(mesh.with_positions(large.decode(parameter).detach()))

@@ -162,7 +162,7 @@ def test_boundaries_that_judging_views_do_not_confirm_early_are_left(
     positions, faces, _ = _cup(WRONG)
     before = mesh_of(positions, faces)
     mesh, report = _refined(before, cup_capture, tmp_path)
-    assert isinstance(report, OcclusionBoundariesSkipped) and "after 72 steps" in report.reason
+    assert isinstance(report, OcclusionBoundariesSkipped) and "after 36 steps" in report.reason
     assert mesh is before
     assert float((mesh.positions - before.positions).norm(dim=1).median()) < 0.001
 
