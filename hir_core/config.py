@@ -29,6 +29,8 @@ MAX_SETTINGS_DEPTH = 32
 """Settings are a few tables deep; a far deeper file would exceed Python's recursion limit."""
 
 
+MAX_SEED = (1 << 31) - 1
+
 DEFAULT_PRESET = "default_preset"
 """Key of a preset's file: `true` in the preset that is used where none is named."""
 
@@ -207,7 +209,8 @@ class ReflectanceSettings:
     conserve_energy: bool = True
     """No texel reflects more light than it receives: ρd + ρs ≤ 1 in the `paper` model, each ≤ 1 in `dielectric`."""
     known_environment: str = ""
-    """A lat-long file that is the light, in the capture's axes, `FILE` or `FILE*STRENGTH`; it is then not fitted."""
+    """A lat-long file that is the light, `FILE` or `FILE*STRENGTH`, which is then not fitted. It is in the axes of the
+    light that the capture names, or in those of the capture's files where it names none."""
     revise_mesh: bool = True
     """After the fit, initializers of the chain that can do so, such as `hollows`, revise the mesh with the fitted
     material and light; a changed mesh is fitted again, and kept where held-out views gain."""
@@ -295,8 +298,8 @@ def load_config(
     if "export" not in settings:
         raise ConfigError(f"the preset {preset!r} does not set export; set it to a list of formats, [] for none")
     config = build_options(RunConfig, settings, "settings")
-    if not 0 <= config.seed < 1 << 31:
-        raise ConfigError(f"settings: option 'seed' is {config.seed}; give a number from 0 to {(1 << 31) - 1}")
+    if not 0 <= config.seed <= MAX_SEED:
+        raise ConfigError(f"settings: option 'seed' is {config.seed}; give a number from 0 to {MAX_SEED}")
     for name in config.plugins:
         plugins.register_named(name)
     _check_components(config, plugins)

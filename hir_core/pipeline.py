@@ -27,6 +27,7 @@ from hir_core.run.stage_context import StageContext
 from hir_core.run.stage_runner import StageRunner
 from hir_core.stages.initialization import resolve_initializers
 from hir_core.stages.memory_plan import MemoryPlan, gigabytes, plan_memory
+from hir_core.stages.reflectance.take_support import check_takes
 from hir_core.stages.run_state import CaptureSource, RunState
 from hir_core.stages.settings_without_effect import (
     check_settings_take_effect,
@@ -154,6 +155,9 @@ def prepare(
         raise CaptureError(f"{path} holds no photographs to fit; is it the folder of a capture?")
     if config.reflectance.enabled and config.reflectance.exposures == "recorded":
         check_recorded_exposures(with_recorded_exposures(capture))  # before the minutes of the first stages
+    if config.reflectance.enabled and config.reflectance.renderer:
+        renderer = plugins.find("reflectance_renderer", config.reflectance.renderer)
+        check_takes(capture, config.reflectance, renderer.component.traits)
     memory = plan_memory(config, plugins, size_of(capture))
     for change in memory.changes:
         on_message(f"to stay within {gigabytes(memory.limit)} of memory: {change}")

@@ -77,7 +77,7 @@ class AssetMaterial:
     normal: NDArray[np.float32] | None = None
     """(H, W, 3) unit vectors in tangent space, +Y up, or None."""
     observed: NDArray[np.bool_] | None = None
-    """(H, W) True for texels that at least one view observed; None where that is not known."""
+    """(H, W) True for texels that enough photographs observed; None where that is not known."""
     metalness: NDArray[np.float32] | None = None
     """(H, W) or (), 0..1: 1 for a metal. Only `metallic` has it."""
     dielectric_f0: float = DEFAULT_DIELECTRIC_F0

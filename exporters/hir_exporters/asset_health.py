@@ -57,7 +57,7 @@ class AssetHealth:
         metal = "the model has no metalness" if self.metal_share is None else f"{self.metal_share:.0%} metal"
         parts = ["one roughness for the whole surface" if self.constant_roughness else "a roughness map", metal]
         if self.unobserved_share is not None:
-            parts.append(f"{self.unobserved_share:.1%} of the texels were seen by no view")
+            parts.append(f"{self.unobserved_share:.1%} of the texels were observed by too few photographs")
         if self.shading_correlation is not None:
             parts.append(f"albedo and irradiance correlate by {self.shading_correlation:.2f}")
         if self.light_moves_with_camera:

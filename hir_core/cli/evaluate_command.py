@@ -17,7 +17,10 @@ from hir_core.terminal.required_packages import require_reconstruction_packages
 @click.argument("paths", nargs=-1, required=True, type=FOLDER, metavar="RUN... [CAPTURE]")
 @click.option("--split", default="test", show_default=True, help="The split to compare with.")
 @click.option(
-    "--relight", default="", metavar="FILE[*STRENGTH]", help="Render under this lat-long light, in the capture's axes."
+    "--relight",
+    default="",
+    metavar="FILE[*STRENGTH]",
+    help="Render under this lat-long light, in the axes of the capture's light; without one +Y is up.",
 )
 @click.option(
     "--views", type=click.IntRange(min=0), default=0, help="Maximum number of views, evenly spaced; 0 for all."

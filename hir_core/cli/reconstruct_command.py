@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import click
 
-from hir_core.config import ModelName
+from hir_core.config import MAX_SEED, ModelName
 from hir_core.run.run_directory import STAGE_NAMES
 from hir_core.terminal.command_options import FOLDER, plugin_option, settings_options, verbosity_options
 from hir_core.terminal.required_packages import require_reconstruction_packages
@@ -31,7 +31,7 @@ from hir_core.terminal.run_results import show_summary
 @click.option(
     "--texture-size", type=click.IntRange(min=0), help="Side of the textures in texels; 0 derives it from the views."
 )
-@click.option("--seed", type=click.IntRange(min=0), help="Seed of all random numbers.")
+@click.option("--seed", type=click.IntRange(0, MAX_SEED), help="Seed of all random numbers.")
 @click.option("--max-memory", metavar="SIZE", help="Memory limit, such as 4GB: caches and batches are reduced to fit.")
 @click.option("--deterministic", is_flag=True, help="Bit-identical files for equal input on one machine; slower.")
 @plugin_option

@@ -19,7 +19,8 @@ class EvaluationRequest:
     capture: Path | None = None
     """Folder of the capture; None for the run's own."""
     relight: str = ""
-    """`FILE` or `FILE*STRENGTH`, in the capture's axes: the light to render under, in place of the split's."""
+    """`FILE` or `FILE*STRENGTH`, the light to render under, in place of the split's. It is in the
+    axes of the light that the capture names, or in the asset's axes (+Y up) where it names none."""
     renderer: str = ""
     """Name of the reflectance renderer; empty for the reference renderer."""
     options: Mapping[str, Any] | None = None

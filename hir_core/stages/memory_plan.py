@@ -1,6 +1,7 @@
 """Estimates the memory of each stage before a run starts, and reduces settings until a limit is kept.
 
-The estimates are sums of arrays that exist at the same time; docs/reliability.md compares them with measurements.
+The estimates are sums of arrays that exist at the same time; docs/studies/memory_of_300_photographs.md compares
+them with measurements.
 """
 
 from __future__ import annotations

@@ -65,8 +65,7 @@ class TransformsJsonReader(CaptureReader):
         splits = set(files)
         if list(files) == ["train"]:
             content = read_json(files["train"])
-            listed = {split for split, key in _SPLIT_LISTS.items() if content.get(key)}
-            splits |= listed if "train" in listed else set()
+            splits |= {split for split, key in _SPLIT_LISTS.items() if content.get(key)}
         order = {"train": 0, "test": 1, "val": 2}
         return sorted(splits, key=lambda split: (order.get(split, 3), split))
 

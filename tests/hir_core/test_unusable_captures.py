@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hir_exporters.textures.image_files import read_ldr, write_png
 
-from hir_core.errors import CaptureError
+from hir_core.errors import CaptureError, ConfigError
 from hir_core.pipeline import Run
 from tests.fixtures.runs import make_tiny
 
@@ -89,4 +89,19 @@ def test_recorded_exposures_that_are_missing_are_refused_before_the_first_stage(
 ) -> None:
     with pytest.raises(CaptureError, match=r"record no different exposures .* use --set reflectance\.exposures=fitted"):
         quick(tiny_capture, tmp_path / "run", "reflectance.exposures=recorded")
+    assert not list((tmp_path / "run").glob("stages/*"))
+
+
+def test_settings_that_several_takes_do_not_allow_are_refused_before_the_first_stage(
+    tmp_path: Path, quick: Callable[..., Run]
+) -> None:
+    """The preset `best` ends with gradient steps, which have one light."""
+    capture = make_tiny(tmp_path / "capture")
+    path = capture / "transforms_train.json"
+    content = json.loads(path.read_text())
+    for number, frame in enumerate(content["frames"]):
+        frame["take"] = "front" if number % 2 else "back"
+    path.write_text(json.dumps(content))
+    with pytest.raises(ConfigError, match=r"set reflectance\.path_tracing\.iterations to 0"):
+        quick(capture, tmp_path / "run", "reflectance.path_tracing.iterations=3")
     assert not list((tmp_path / "run").glob("stages/*"))

@@ -49,7 +49,7 @@ def test_shares_and_flags(textured_asset: Asset) -> None:
     assert health.metal_share == pytest.approx(0.5, abs=0.02)
     assert health.unobserved_share == pytest.approx(0.5, abs=0.02)
     sentence = health.sentence()
-    for words in ("one roughness", "50% metal", "seen by no view", "the light moves with the camera"):
+    for words in ("one roughness", "50% metal", "observed by too few photographs", "the light moves with the camera"):
         assert words in sentence
     assert health.as_document()["metal_share"] == pytest.approx(health.metal_share, abs=1e-3)
     plastic = asset_health(textured_asset)

@@ -94,7 +94,7 @@ def fit_reflectance(
         )
     _check_exposure(capture, settings.downsample)
     by_solver = offers_solver and settings.method != "gradient"
-    check_takes(capture, settings, by_solver and "takes" in traits, "regularizers" in traits)
+    check_takes(capture, settings, traits)
     capture = with_recorded_exposures(capture)
     exposures = exposures_to_compare(capture, settings, settings.renderer, by_solver and "exposures" in traits)
     fits_lamp = by_solver and "camera_lamp" in traits

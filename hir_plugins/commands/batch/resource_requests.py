@@ -35,7 +35,8 @@ class ResourceRequest:
 
 @dataclass(frozen=True)
 class ResourceRequests:
-    """One request for each stage group; the memory was measured on captures of 80 images of 512² (docs/scaling.md)."""
+    """One request for each stage group; the memory is that of captures of 80 images of 512². Larger ones need more
+    (docs/scaling.md)."""
 
     initialization: ResourceRequest = ResourceRequest(memory_gib=1.5)
     geometry: ResourceRequest = ResourceRequest(memory_gib=2.0)

@@ -68,7 +68,7 @@ class RetryPolicy:
 
 
 STORE_RETRIES: Final = RetryPolicy(attempts=6, initial_wait_s=0.2, factor=2.5, max_wait_s=10.0)
-"""For one request to a store; it fails after about 15 seconds."""
+"""For one request to a store; it fails after 6 to 13 seconds."""
 
 
 def call_with_retries(call: Callable[[], Value], failure: str, policy: RetryPolicy = STORE_RETRIES) -> Value:

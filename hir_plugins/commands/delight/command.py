@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hir_core.config import MAX_SEED
 from hir_core.errors import InputError
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 from hir_core.terminal.required_packages import require_reconstruction_packages
@@ -37,7 +38,7 @@ PRESET = "delight"
 )
 @click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="One setting; repeatable.")
 @click.option("--resume", is_flag=True, help="Continue a run: reuse finished stages whose settings are unchanged.")
-@click.option("--seed", type=click.IntRange(min=0), help="Seed of all random numbers.")
+@click.option("--seed", type=click.IntRange(0, MAX_SEED), help="Seed of all random numbers.")
 @plugin_option
 @verbosity_options
 def delight_command(

@@ -118,7 +118,7 @@ class CameraRefinement(Initializer):
         warnings.warn(
             f"masks and cameras disagree: {_spoken(before)}; refined cameras were not better on held-out views, so "
             "the given ones are kept; check the masks (hir check shows the worst), or estimate new cameras with: "
-            '--set \'initializers=["colmap", "visual_hull", "stereo"]\' '
+            '--set \'initializers=["colmap", "visual_hull", "hollows", "stereo"]\' '
             "--set initializer.colmap.known_cameras=solve",
             stacklevel=3,
         )

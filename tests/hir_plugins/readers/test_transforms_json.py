@@ -108,6 +108,7 @@ def test_photographs_that_are_listed_for_tests_are_not_for_the_fit(picture: Path
     Image.new("RGB", (64, 48)).save(picture / "images" / "b.png")
     frames = [{"file_path": f"images/{n}.png", "transform_matrix": POSE} for n in "ab"]
     write(picture, frames=frames, test_filenames=["images/b.png"])
+    assert READER.splits(picture) == ["train", "test"]
     assert [v.name for v in READER.read(picture).views] == ["a"]
     assert [v.name for v in READER.read(picture, "test").views] == ["b"]
     write(picture, frames=frames, val_filenames=["images/a.png"], test_filenames=["images/b.png"])
