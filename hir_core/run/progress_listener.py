@@ -51,10 +51,12 @@ class ProgressListener:
             self._pending.setdefault(name, []).append(block)
             self._curves.setdefault(name, []).append(block)
             self._steps.setdefault(name, []).append(np.arange(progress.step - len(block) + 1, progress.step + 1))
-        # a stage may count steps and seconds level by level: the time left follows from the current level
-        if self._last is not None and (progress.steps != self._last.steps or progress.step < self._last.step):
-            self._phase_started = time.perf_counter() - progress.seconds
+        # a stage may count steps and seconds level by level: the time left follows from the current level, without
+        # what the stage did before its first step
         now = time.perf_counter()
+        last = self._last
+        if last is None or progress.steps != last.steps or progress.step < last.step:
+            self._phase_started = now - progress.seconds
         spent, phase = now - self._started, now - self._phase_started
         if progress.milestone:
             self.milestones.append((progress.milestone, round(spent, 3)))

@@ -197,6 +197,24 @@ def test_a_second_phase_of_a_stage_has_its_own_time_left(monkeypatch: pytest.Mon
     assert reports[-1].phase_seconds == pytest.approx(10.0)
 
 
+def test_the_preparation_of_a_stage_does_not_count_as_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The chair's first step of 400 came after 24 s of preparation; that does not mean hours."""
+    now = [0.0]
+    monkeypatch.setattr("hir_core.run.progress_listener.time.perf_counter", lambda: now[0])
+    reports: list[Progress] = []
+    listener = ProgressListener("geometry", PluginManager(), reports.append)
+    now[0] = 24.0
+    listener.report(Progress("geometry", 40, 400, 10.0))
+    assert reports[-1].seconds == 24.0 and reports[-1].seconds_left == pytest.approx(90.0)
+
+
+def test_too_few_steps_tell_no_time_left() -> None:
+    assert Progress("x", 0, 1000, 5.0).seconds_left == 0.0
+    assert Progress("x", 19, 1000, 5.0).seconds_left == 0.0
+    assert Progress("x", 20, 1000, 5.0).seconds_left == pytest.approx(245.0)
+    assert Progress("x", 1, 4, 5.0).seconds_left == pytest.approx(15.0)
+
+
 def result_of(folder: Path, stage: str) -> Path:
     return RunDirectory(folder).stage(stage) / "result"
 
