@@ -13,6 +13,11 @@ REQUIRED_STANDARD_ERRORS_OF_HYPOTHESES = 1.5
 """Between kinds of material and light. More than one, because several are compared at once. Not more, because gains
 differ from view to view where an object has two materials: on a ball that is half gold, half plastic a diffuse model
 was 5.9 ± 2.5 dB behind."""
+GAP_OF_HYPOTHESES_DB = 3.0
+"""About the root mean square distance of a hypothesis from the best one: 2.8 dB on nine captures of the tuning half of
+the materials benchmark (docs/studies/model_selection.md#ties-with-a-large-mean-gain)."""
+LEAST_EXPECTED_GAIN_DB = 1.0
+"""From which a hypothesis is better though its gain may be noise."""
 NEAR_TIE_STANDARD_ERRORS = 2.0
 """A smaller margin between the selected hypothesis and the runner-up is a warning."""
 MIN_GAIN_DB = 0.1
@@ -82,6 +87,22 @@ def is_within_noise(gain: float, standard_error: float, views: int) -> bool:
 def differs(gain: float, standard_error: float, views: int) -> bool:
     """Whether a gain of one hypothesis over another is more than noise."""
     return is_significant(gain, standard_error, views, REQUIRED_STANDARD_ERRORS_OF_HYPOTHESES)
+
+
+def is_better_hypothesis(gain: float, standard_error: float, views: int) -> bool:
+    """Whether a hypothesis is selected over a simpler one: it differs, or much is expected of it.
+
+    Where an object has two materials, or a lamp is near, gains differ so much from view to view that six views prove
+    nothing. The simpler hypothesis is then the likely loser, and not a safe choice.
+    """
+    return differs(gain, standard_error, views) or expected_gain(gain, standard_error) >= LEAST_EXPECTED_GAIN_DB
+
+
+def expected_gain(gain: float, standard_error: float) -> float:
+    """The measured gain in dB, drawn to 0 by its noise: the mean of the posterior where true gains are normally
+    distributed around 0 with a standard deviation of `GAP_OF_HYPOTHESES_DB`.
+    """
+    return gain / (1 + (standard_error / GAP_OF_HYPOTHESES_DB) ** 2)
 
 
 def decibels(errors: NDArray[np.float64]) -> NDArray[np.float64]:

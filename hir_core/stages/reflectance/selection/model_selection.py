@@ -37,7 +37,7 @@ from hir_core.stages.reflectance.selection.folded_fits import (
 )
 from hir_core.stages.reflectance.selection.held_out_comparison import (
     SUFFICIENT_DB,
-    differs,
+    is_better_hypothesis,
     is_near_tie,
     mean_decibels,
 )
@@ -305,7 +305,7 @@ def _decide(
 
 
 def _tied(contestants: Sequence[Contestant[FitT]], fits: Mapping[ModelSpec, FoldedFit[FitT]]) -> list[Contestant[FitT]]:
-    """The best one under the best light, those that it does not significantly exceed, and those that need no
+    """The best one under the best light, those that are not worse by more than noise, and those that need no
     improvement.
     """
     compared = [fits[each.spec] for each in contestants]
@@ -315,7 +315,7 @@ def _tied(contestants: Sequence[Contestant[FitT]], fits: Mapping[ModelSpec, Fold
         each
         for each in contestants
         if fits[each.spec].held_out_db >= SUFFICIENT_DB
-        or not differs(*gain_of(best, over=fits[each.spec]), len(best.errors))
+        or not is_better_hypothesis(*gain_of(best, over=fits[each.spec]), len(best.errors))
     ]
 
 

@@ -24,6 +24,7 @@ from hir_core.stages.reflectance.selection.held_out_comparison import (
     SMALLEST_ERROR,
     SUFFICIENT_DB,
     differs,
+    is_better_hypothesis,
     is_near_tie,
     is_refined,
     paired_gain,
@@ -144,12 +145,12 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         gain, standard_error = gain_of(fit, over=self.fit)
         views = len(fit.errors)
         if simpler:
-            accepted = not differs(-gain, standard_error, views)
+            accepted = not is_better_hypothesis(-gain, standard_error, views)
         elif spec.light_frame != self.spec.light_frame:
             # the simpler light stays in a near tie: a wrong one spoils every relit picture
             accepted = not is_near_tie(gain, standard_error, views)
         else:
-            accepted = differs(gain, standard_error, views)
+            accepted = is_better_hypothesis(gain, standard_error, views)
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)
