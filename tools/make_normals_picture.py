@@ -8,7 +8,6 @@ of training views, one a pair) chooses.
 from __future__ import annotations
 
 import argparse
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,8 +31,8 @@ SAMPLES = 3
 """Rays of a pixel along each image axis."""
 MARGIN = 1.06
 """Width of a picture, as a multiple of the object's."""
-PAPER = np.array([246, 245, 242], np.float32) / 255
-INK = (90, 92, 98)
+PAPER_COLOR, INK = (246, 245, 242), (90, 92, 98)
+PAPER = np.array(PAPER_COLOR, np.float32) / 255
 NAMES = ("a photograph", "before", "after", "normals, before", "normals, after")
 
 Picture = NDArray[np.float32]
@@ -80,11 +79,10 @@ def row(runs: tuple[Path, Path], number: int | None, plugins: PluginManager) -> 
     rows, columns = (np.flatnonzero((photograph.mask > 0.5).any(axis=axis)) for axis in (1, 0))
     side = MARGIN * max(np.ptp(rows), np.ptp(columns))
     left, top = (float(each.min() + each.max()) / 2 - side / 2 for each in (columns, rows))
-    box = round(left), round(top), round(left + side), round(top + side)
     image = Image.fromarray(np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8))
-    background = Image.new("RGB", image.size, "white")
-    background.paste(image)
-    pictures = [background.crop(box).resize((SIDE, SIDE), Image.Resampling.LANCZOS)]
+    square = Image.new("RGB", (round(side), round(side)), PAPER_COLOR)
+    square.paste(image, (-round(left), -round(top)))
+    pictures = [square.resize((SIDE, SIDE), Image.Resampling.LANCZOS)]
     zoom = np.array([[SIDE / side, 0, -left * SIDE / side], [0, SIDE / side, -top * SIDE / side], [0, 0, 1]])
     lit, colored = [], []
     for run in runs:
@@ -112,7 +110,7 @@ def main() -> None:
     numbers: list[int | None] = [*given.views, *[None] * len(pairs)]
     rows = [row(pair, number, plugins) for pair, number in zip(pairs, numbers, strict=False)]
     size = (len(NAMES) * (SIDE + GAP) - GAP, len(rows) * (SIDE + GAP) - GAP + CAPTION)
-    sheet = Image.new("RGB", size, tuple(math.floor(255 * float(channel)) for channel in PAPER))
+    sheet = Image.new("RGB", size, PAPER_COLOR)
     draw = ImageDraw.Draw(sheet)
     for j, pictures in enumerate(rows):
         for i, each in enumerate(pictures):

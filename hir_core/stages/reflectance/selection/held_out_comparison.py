@@ -90,10 +90,10 @@ def differs(gain: float, standard_error: float, views: int) -> bool:
 
 
 def is_better_hypothesis(gain: float, standard_error: float, views: int) -> bool:
-    """Whether a hypothesis is selected over a simpler one: it differs, or much is expected of it.
+    """Whether a hypothesis is selected over a simpler one: it differs, or its expected gain is large.
 
-    Where an object has two materials, or a lamp is near, gains differ so much from view to view that six views prove
-    nothing. The simpler hypothesis is then the likely loser, and not a safe choice.
+    Where an object has two materials, or a lamp is near, gains differ much from view to view, and the mean of six views
+    is uncertain. With a large mean gain the simpler hypothesis is still the worse choice, most probably.
     """
     return differs(gain, standard_error, views) or expected_gain(gain, standard_error) >= LEAST_EXPECTED_GAIN_DB
 
