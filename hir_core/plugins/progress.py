@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 MODEL_FITTED, MODELS_COMPARED = "model_fitted", "models_compared"
 """Milestones of the reflectance stage: a model was fitted and evaluated; a candidate was accepted or rejected."""
-LEAST_SHARE = 0.02
+LEAST_SHARE_FOR_TIME_LEFT = 0.02
 """Of the steps, from which the time left is extrapolated: the first steps also compile and fill caches."""
 PROGRESS_INTERVAL_S = 0.25
 """Shortest time between two reports to observers."""
@@ -36,7 +36,7 @@ class Progress:
     @property
     def seconds_left(self) -> float:
         """Extrapolated from the steps so far; 0 where too few of them are done to tell."""
-        if self.step < max(1, LEAST_SHARE * self.steps):
+        if self.step < max(1, LEAST_SHARE_FOR_TIME_LEFT * self.steps):
             return 0.0
         spent = self.seconds if self.phase_seconds is None else self.phase_seconds
         return spent / self.step * (self.steps - self.step)

@@ -15,6 +15,7 @@ from hir_core.capture import Capture
 from hir_core.scene import EnvironmentMap, Material, Mesh, Scene, Topology
 from hir_plugins.initializers.hollows import rendered_search
 from hir_plugins.initializers.hollows.hollows import Hollows
+from hir_plugins.initializers.hollows.outline_search import OutlineSearch
 from hir_plugins.initializers.hollows.photo_prediction import blurred_photographs
 from hir_plugins.initializers.hollows.rendered_prediction import Appearance, squared_errors
 from hir_plugins.initializers.hollows.rendered_search import RenderedHollow, find_rendered_hollows
@@ -112,6 +113,9 @@ def test_a_dark_spot_is_no_hollow(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found is true and hollows == []
     monkeypatch.setattr(rendered_search, "WELL_EXPLAINED", 1.1)
     assert len(hollowed(capture, true)[1]) == 1, "else this test would show nothing"
+    monkeypatch.setattr(rendered_search, "WELL_EXPLAINED", -100.0)
+    monkeypatch.delattr(OutlineSearch, "sunk")
+    assert hollowed(capture, true)[1] == [], "what the maps explain is not sunk first to be rejected afterwards"
 
 
 def test_the_true_surface_renders_like_the_photographs_and_a_lid_does_not() -> None:
