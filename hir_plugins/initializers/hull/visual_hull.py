@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import final
+
+import numpy as np
 
 from hir_core.capture import Capture
 from hir_core.errors import CaptureError
@@ -16,15 +20,19 @@ from hir_plugins.initializers.surface.initial_scene import make_scene
 from hir_plugins.initializers.surface.isosurface import extract_surface, keep_large_components
 from hir_plugins.initializers.surface.mesh_cleaning import clean_mesh, edge_length
 from hir_plugins.initializers.surface.silhouette_fields import MIN_MASK_SHARE, silhouette_fields, working_downsample
+from hir_plugins.initializers.surface.unseen_surface import with_membranes
 from hir_plugins.initializers.surface.volume import Volume
 
 
 @final
 class VisualHull(Initializer):
-    """The largest object that fits all masks: a closed mesh with outward faces, at any position and scale."""
+    """The largest object that fits all masks, without what no photograph shows: a closed mesh with outward faces, at
+    any position and scale.
+    """
 
     def __init__(self, config: VisualHullOptions) -> None:
         self._config = config
+        self._report: dict[str, object] = {}
 
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
         """The unchanged capture, and the hull. Fewer than two masks with cameras raise `CaptureError`."""
@@ -33,7 +41,15 @@ class VisualHull(Initializer):
         positions, faces = keep_large_components(*extract_surface(volume), self._config.min_component)
         edge = edge_length(capture, positions, self._config.edge_pixels, volume.spacing)
         positions, faces = clean_mesh(positions, faces, edge, self._config.min_component, self._config.seed)
+        if self._config.unseen_surface == "membrane":
+            cameras = [view.camera for view in capture.views if view.camera is not None]
+            positions, unseen = with_membranes(positions.astype(np.float64), faces, cameras)
+            self._report = asdict(unseen)
         return capture, make_scene(positions, faces, capture, self._config.vertex_colors)
+
+    def report(self) -> Mapping[str, object]:
+        """The surface that no photograph shows, and how much of the volume membranes left out."""
+        return self._report
 
 
 def hull_volume(capture: Capture, options: VisualHullOptions) -> Volume:

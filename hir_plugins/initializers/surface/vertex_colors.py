@@ -6,6 +6,7 @@ the takes are averaged.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -92,6 +93,13 @@ class VertexVisibility:
         # larger than the sagitta of a facet, or a curved surface would occlude itself
         self._offset = max(1e-5, 0.2 * float(np.median(np.linalg.norm(edges, axis=2))))
         self._queries = MeshQueries(unit, faces)
+
+    def among(self, vertices: NDArray[np.int64]) -> VertexVisibility:
+        """The same for some of these vertices, by their indices (N,); the ray tracer is shared."""
+        chosen = copy.copy(self)
+        chosen._positions, chosen._normals = self._positions[vertices], self._normals[vertices]
+        chosen._unit = self._unit[vertices]
+        return chosen
 
     def from_camera(self, camera: Camera) -> tuple[NDArray[np.bool_], Array, Array]:
         """Visible or not (V,), cosine between normal and view direction (V,), and pixels (V, 2) of the vertices."""

@@ -1,0 +1,127 @@
+"""Spans surface that no photograph shows by a membrane: below an object on a table a visual hull ends in a cone.
+
+Rays that graze the lower edge of the object in the lowest photographs bound the hull there, so every surface between
+that edge and the cone has the same outlines. The membrane across the edge is nearly the smallest of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hir_core.capture import Camera
+from hir_core.mesh.mesh_validity import self_intersections
+from hir_core.mesh.ray_casting import MeshQueries
+from hir_core.mesh.self_intersection_repair import smooth_intersections
+from hir_core.mesh.texture_inpainting import harmonic_vertices
+from hir_plugins.initializers.surface.isosurface import signed_volume
+from hir_plugins.initializers.surface.vertex_colors import VertexVisibility, vertex_normals
+
+Points = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+SMALLEST_SEEN_PATCH = 0.01
+"""Share of the vertices below which a patch of seen ones is noise of the normals of surface that grazes the rays."""
+
+THICKNESS_EDGES = 2.0
+"""Median edges that a membrane keeps from the surface on its other side."""
+
+
+@dataclass(frozen=True)
+class UnseenSurface:
+    """Surface that no photograph shows, and what became of it."""
+
+    area_share: float
+    """Of the surface's area that no photograph shows."""
+    moved_vertices: int
+    volume_lost: float
+    """Share of the volume that was outside of the membranes."""
+
+
+def with_membranes(positions: Points, faces: Faces, cameras: Sequence[Camera]) -> tuple[Points, UnseenSurface]:
+    """The vertices (V, 3) of a closed mesh (F, 3), those that no camera sees on membranes between the others.
+
+    They only move inwards, and without new self-intersections.
+    """
+    unseen = ~seen_vertices(positions, faces, cameras)
+    share = round(_area_share(positions, faces, unseen), 4)
+    patch = _patches(faces, unseen)
+    free = unseen & np.isin(patch, _bordered(faces, patch))
+    fixed = np.flatnonzero(~free)
+    corners, third = np.repeat(fixed[:, None], 3, axis=1), np.full((len(fixed), 3), 1 / 3)
+    target = harmonic_vertices(faces, len(positions), corners, third, positions[fixed])
+    moved = _inside(positions, faces, np.where(free[:, None], target, positions))
+    count = int(np.any(moved != positions, axis=1).sum())
+    if count == 0:
+        return positions, UnseenSurface(share, 0, 0.0)
+    if len(self_intersections(moved, faces)) > 0:
+        allowed = len(self_intersections(positions, faces))
+        moved = smooth_intersections(moved, faces, allowed, toward=positions)
+    lost = 1 - signed_volume(moved, faces) / signed_volume(positions, faces)
+    return moved, UnseenSurface(share, count, round(lost, 5))
+
+
+def seen_vertices(positions: Points, faces: Faces, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
+    """Vertices (V,) that at least one camera sees at no grazing angle, small patches of them left out."""
+    visibility = VertexVisibility(positions, faces, vertex_normals(positions, faces))
+    seen = np.zeros(len(positions), dtype=bool)
+    for camera in cameras:
+        rest = np.flatnonzero(~seen)
+        if len(rest) == 0:
+            break
+        seen[rest] = visibility.among(rest).from_camera(camera)[0]
+    patch = _patches(faces, seen)
+    large = np.bincount(patch[seen]) >= SMALLEST_SEEN_PATCH * len(positions)
+    seen[seen] = large[patch[seen]]
+    return seen
+
+
+def _patches(faces: Faces, chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The connected patch (V,) of each chosen vertex; −1 for the others."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges[chosen[edges].all(axis=1)]
+    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(chosen), len(chosen)))
+    label = connected_components(graph, directed=False)[1]
+    patch = np.full(len(chosen), -1, dtype=np.int64)
+    patch[chosen] = np.unique(label[chosen], return_inverse=True)[1]
+    return patch
+
+
+def _bordered(faces: Faces, patch: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The patches with a neighbour outside of them: the others are whole components, which nothing holds."""
+    of_corner = patch[faces]
+    rim = of_corner[(of_corner >= 0).any(axis=1) & (of_corner < 0).any(axis=1)]
+    return np.unique(rim[rim >= 0])
+
+
+def _inside(positions: Points, faces: Faces, target: Points) -> Points:
+    """As far on the way to `target` (V, 3) as it leads through the object and keeps `THICKNESS_EDGES` from its other
+    side. A way outwards ends at once.
+    """
+    way = target - positions
+    length = np.linalg.norm(way, axis=1)
+    moving = np.flatnonzero(length > 0)
+    if len(moving) == 0:
+        return positions
+    middle, size = positions.mean(axis=0), float(np.ptp(positions, axis=0).max())
+    unit = (positions - middle) / size
+    edge = float(np.median(np.linalg.norm(unit[faces[:, 0]] - unit[faces[:, 1]], axis=1)))
+    direction = way[moving] / length[moving, None]
+    inside = unit[moving] - 0.2 * edge * vertex_normals(positions, faces)[moving]
+    free = MeshQueries(unit, faces).first_distances(inside, direction).astype(np.float64)
+    reach = np.clip((free - THICKNESS_EDGES * edge) * size, 0, length[moving])
+    result = positions.copy()
+    result[moving] += reach[:, None] * direction
+    return result
+
+
+def _area_share(positions: Points, faces: Faces, chosen: NDArray[np.bool_]) -> float:
+    p = positions[faces]
+    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    return float(area[chosen[faces].all(axis=1)].sum() / max(float(area.sum()), np.finfo(float).tiny))
