@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
 
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb
@@ -10,9 +9,6 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Capture
 from hir_core.intake.reduced_pictures import reduce_to_side
-
-if TYPE_CHECKING:
-    pass
 
 
 def contact_sheet(capture: Capture, columns: int = 8, side: int = 160) -> NDArray[np.uint8]:

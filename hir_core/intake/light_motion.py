@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hir_core.capture import Array, Camera, Pixels
-
-if TYPE_CHECKING:
-    pass
 
 
 _MIN_HEADLIGHT_CORRELATION = 0.4

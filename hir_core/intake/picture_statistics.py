@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb
 
 from hir_core.capture import Pixels
-
-if TYPE_CHECKING:
-    pass
 
 _ROWS_AT_ONCE = 1024
 

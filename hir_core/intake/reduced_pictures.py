@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
 
 from hir_core.capture import Camera, Pixels, View
-
-if TYPE_CHECKING:
-    pass
 
 
 def reduce_to_side(view: View, pixels: Pixels, side: int) -> tuple[Pixels, Camera | None]:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hir_core.capture import Array, Camera
-
-if TYPE_CHECKING:
-    pass
 
 
 def directions_covered(cameras: Sequence[Camera]) -> float | None:

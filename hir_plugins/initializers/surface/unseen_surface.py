@@ -61,7 +61,7 @@ def with_membranes(positions: Points, faces: Faces, cameras: Sequence[Camera]) -
         allowed = len(self_intersections(positions, faces))
         moved = smooth_intersections(moved, faces, allowed, toward=positions)
     lost = 1 - signed_volume(moved, faces) / signed_volume(positions, faces)
-    return moved, UnseenSurface(share, count, round(lost, 5))
+    return moved, UnseenSurface(share, count, round(lost, 5) + 0.0)
 
 
 def seen_vertices(positions: Points, faces: Faces, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
