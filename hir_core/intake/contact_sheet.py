@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray

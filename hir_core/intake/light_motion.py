@@ -8,7 +8,6 @@ import numpy as np
 
 from hir_core.capture import Array, Camera, Pixels
 
-
 _MIN_HEADLIGHT_CORRELATION = 0.4
 
 

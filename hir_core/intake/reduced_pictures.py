@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from hir_core.capture import Camera, Pixels, View
 
 
