@@ -1,7 +1,8 @@
 """Spans surface that no photograph shows by a membrane: below an object on a table a visual hull ends in a cone.
 
 Rays that graze the lower edge of the object in the lowest photographs bound the hull there, so every surface between
-that edge and the cone has the same outlines. The membrane across the edge is nearly the smallest of them.
+that edge and the cone has the same outlines. The membrane across the edge is nearly the smallest of them. A round
+object has no edge there; the hull touches it and is nearly right.
 """
 
 from __future__ import annotations
@@ -26,6 +27,12 @@ Faces = NDArray[np.int64]
 SMALLEST_SEEN_PATCH = 0.01
 """Share of the vertices below which a patch of seen ones is noise of the normals of surface that grazes the rays."""
 
+NORMAL_RINGS = 2
+"""Rings of neighbours over which normals are averaged on either side of a rim."""
+
+RIM_DEGREES = (15.0, 30.0)
+"""Turn of the normals across a rim: up to the first the hull stays, from the second on the membrane replaces it."""
+
 THICKNESS_EDGES = 2.0
 """Median edges that a membrane keeps from the surface on its other side."""
 
@@ -44,7 +51,8 @@ class UnseenSurface:
 def with_membranes(positions: Points, faces: Faces, cameras: Sequence[Camera]) -> tuple[Points, UnseenSurface]:
     """The vertices (V, 3) of a closed mesh (F, 3), those that no camera sees on membranes between the others.
 
-    They only move inwards, and without new self-intersections.
+    They only move inwards, and without new self-intersections. Where the surface goes on smoothly from what cameras
+    see, as below a ball, the hull is a better guess and stays.
     """
     unseen = ~seen_vertices(positions, faces, cameras)
     share = round(_area_share(positions, faces, unseen), 4)
@@ -52,7 +60,10 @@ def with_membranes(positions: Points, faces: Faces, cameras: Sequence[Camera]) -
     free = unseen & np.isin(patch, _bordered(faces, patch))
     fixed = np.flatnonzero(~free)
     corners, third = np.repeat(fixed[:, None], 3, axis=1), np.full((len(fixed), 3), 1 / 3)
-    target = harmonic_vertices(faces, len(positions), corners, third, positions[fixed])
+    sharp = _rim_sharpness(positions, faces, free)
+    values = np.concatenate([positions[fixed], sharp[fixed, None]], axis=1)
+    membrane = harmonic_vertices(faces, len(positions), corners, third, values)
+    target = positions + membrane[:, 3:] * (membrane[:, :3] - positions)
     moved = _inside(positions, faces, np.where(free[:, None], target, positions))
     count = int(np.any(moved != positions, axis=1).sum())
     if count == 0:
@@ -98,6 +109,25 @@ def _bordered(faces: Faces, patch: NDArray[np.int64]) -> NDArray[np.int64]:
     of_corner = patch[faces]
     rim = of_corner[(of_corner >= 0).any(axis=1) & (of_corner < 0).any(axis=1)]
     return np.unique(rim[rim >= 0])
+
+
+def _rim_sharpness(positions: Points, faces: Faces, free: NDArray[np.bool_]) -> Points:
+    """Of each vertex (V,) beside free ones: 1 where the surface has an edge there, 0 where it goes on smoothly."""
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    normals = vertex_normals(positions, faces)
+    same = ends[free[ends[:, 0]] == free[ends[:, 1]]]
+    across = ends[~free[ends[:, 0]] & free[ends[:, 1]]]
+    for _ in range(NORMAL_RINGS):
+        total = normals.copy()
+        for axis in range(3):
+            total[:, axis] += np.bincount(same[:, 0], normals[same[:, 1], axis], len(normals))
+        normals = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.finfo(float).tiny)
+    turn = np.degrees(np.arccos(np.clip((normals[across[:, 0]] * normals[across[:, 1]]).sum(axis=1), -1, 1)))
+    count = np.maximum(np.bincount(across[:, 0], minlength=len(normals)), 1)
+    mean = np.bincount(across[:, 0], turn, len(normals)) / count
+    low, high = RIM_DEGREES
+    return np.clip((mean - low) / (high - low), 0, 1)
 
 
 def _inside(positions: Points, faces: Faces, target: Points) -> Points:

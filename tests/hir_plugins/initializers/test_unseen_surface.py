@@ -87,6 +87,16 @@ def test_what_cameras_see_from_below_stays() -> None:
     assert report.area_share == 0 and report.moved_vertices == 0 and report.volume_lost == 0
 
 
+def test_the_hull_of_a_ball_stays() -> None:
+    # the cone touches the ball where the lowest cameras see it end, without an edge
+    touch = np.radians(90 - TURNTABLE)
+    arc = [(float(np.cos(t)), float(np.sin(t))) for t in np.linspace(-touch, np.pi / 2, 60)]
+    positions, faces = revolved([(0, -1 / float(np.cos(np.radians(TURNTABLE)))), *arc[:-1], (0, 1)])
+    moved, report = with_membranes(positions, faces, ring_of_cameras(TURNTABLE, 50))
+    assert report.area_share > 0.02
+    assert np.abs(moved - positions).max() < 0.1 * EDGE
+
+
 def test_a_well_that_no_camera_looks_into_is_not_filled() -> None:
     positions, faces = revolved([(0, 0), (1, 0), (1, 1.5), (0.2, 1.5), (0.2, 0.3), (0, 0.3)])
     moved, report = with_membranes(positions, faces, ring_of_cameras(50, -50))
