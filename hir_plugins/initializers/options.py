@@ -31,7 +31,7 @@ class VisualHullOptions:
     """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     unseen_surface: Literal["membrane", "hull"] = "membrane"
     """Surface that no photograph shows. `membrane` spans it between surface that photographs show, where that makes the
-    object smaller: an object on a table gets a flat base. `hull` keeps the cone in which a hull ends there."""
+    object clearly smaller: an object on a table gets a flat base. `hull` keeps the cone in which a hull ends there."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs in which they are visible."""
     seed: int = seed_of_run()

@@ -33,6 +33,10 @@ NORMAL_RINGS = 2
 RIM_DEGREES = (15.0, 30.0)
 """Turn of the normals across a rim: up to the first the hull stays, from the second on the membrane replaces it."""
 
+LEAST_VOLUME = 0.01
+"""Share of the volume below which the hull stays: where cameras are nearly level with the base its cone is flat, and a
+membrane rather cuts what they see at grazing angles."""
+
 THICKNESS_EDGES = 2.0
 """Median edges that a membrane keeps from the surface on its other side."""
 
@@ -52,7 +56,7 @@ def with_membranes(positions: Points, faces: Faces, cameras: Sequence[Camera]) -
     """The vertices (V, 3) of a closed mesh (F, 3), those that no camera sees on membranes between the others.
 
     They only move inwards, and without new self-intersections. Where the surface goes on smoothly from what cameras
-    see, as below a ball, the hull is a better guess and stays.
+    see, as below a ball, and where little volume is at stake, the hull is a better guess and stays.
     """
     unseen = ~seen_vertices(positions, faces, cameras)
     share = round(_area_share(positions, faces, unseen), 4)
@@ -65,14 +69,14 @@ def with_membranes(positions: Points, faces: Faces, cameras: Sequence[Camera]) -
     membrane = harmonic_vertices(faces, len(positions), corners, third, values)
     target = positions + membrane[:, 3:] * (membrane[:, :3] - positions)
     moved = _inside(positions, faces, np.where(free[:, None], target, positions))
-    count = int(np.any(moved != positions, axis=1).sum())
-    if count == 0:
+    before = signed_volume(positions, faces)
+    if before - signed_volume(moved, faces) < LEAST_VOLUME * before:
         return positions, UnseenSurface(share, 0, 0.0)
     if len(self_intersections(moved, faces)) > 0:
         allowed = len(self_intersections(positions, faces))
         moved = smooth_intersections(moved, faces, allowed, toward=positions)
-    lost = 1 - signed_volume(moved, faces) / signed_volume(positions, faces)
-    return moved, UnseenSurface(share, count, round(lost, 5) + 0.0)
+    count = int(np.any(moved != positions, axis=1).sum())
+    return moved, UnseenSurface(share, count, round(1 - signed_volume(moved, faces) / before, 5))
 
 
 def seen_vertices(positions: Points, faces: Faces, cameras: Sequence[Camera]) -> NDArray[np.bool_]:

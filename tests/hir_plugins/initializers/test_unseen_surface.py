@@ -87,6 +87,13 @@ def test_what_cameras_see_from_below_stays() -> None:
     assert report.area_share == 0 and report.moved_vertices == 0 and report.volume_lost == 0
 
 
+def test_the_flat_cone_of_nearly_level_cameras_stays() -> None:
+    positions, faces = revolved([(0, -float(np.tan(np.radians(1.5)))), (1, 0), (1, 1), (0, 1)])
+    moved, report = with_membranes(positions, faces, ring_of_cameras(1.5, 50))
+    assert report.area_share > 0.1 and report.moved_vertices == 0
+    np.testing.assert_array_equal(moved, positions)
+
+
 def test_the_hull_of_a_ball_stays() -> None:
     # the cone touches the ball where the lowest cameras see it end, without an edge
     touch = np.radians(90 - TURNTABLE)
