@@ -26,7 +26,7 @@ from hir_core.metrics.surface_metrics import compare_surfaces
 from hir_core.plugins.manager import PluginManager
 from hir_plugins.commands.bench.inputs.bench_captures import decode_images, true_mesh
 
-ELEVATIONS = (-90, 10, 20)
+ELEVATIONS = (-90, 3, 10, 20)
 """Of the lowest photographs, in degrees above the horizon; −90 is all of them."""
 SURFACES = ("hull", "membrane")
 

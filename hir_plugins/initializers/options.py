@@ -30,8 +30,8 @@ class VisualHullOptions:
     edge_pixels: float = 2.5
     """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     unseen_surface: Literal["membrane", "hull"] = "membrane"
-    """Surface that no photograph shows. `membrane` spans it between surface that photographs show, where that makes the
-    object clearly smaller: an object on a table gets a flat base. `hull` keeps the cone in which a hull ends there."""
+    """Surface that no photograph shows. `membrane` spans it between surface that photographs show, where the hull has
+    an edge between the two: an object on a table gets a flat base. `hull` keeps the cone in which a hull ends there."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs in which they are visible."""
     seed: int = seed_of_run()

@@ -65,7 +65,7 @@ def axes_of_gltf(positions: Array, faces: NDArray[np.int64], capture: Capture) -
     if not views or np.allclose(candidates["source_y_up"], candidates["world"], atol=1e-6):
         return AxesComparison("world", {}, True)
     vertices = _evenly_spaced(len(positions), MAX_VERTICES)
-    visibility = VertexVisibility(positions, faces, vertex_normals(positions, faces), vertices)
+    visibility = VertexVisibility(positions, faces, vertex_normals(positions, faces)).among(vertices)
     factor = working_downsample(capture)
     images = [linear_to_srgb(np.clip(view.pixels(factor).color_linear, 0, 1)).astype(np.float32) for view in views]
     cameras = [view.camera.downsampled(factor) for view in views if view.camera is not None]

@@ -26,8 +26,8 @@ from hir_plugins.initializers.surface.volume import Volume
 
 @final
 class VisualHull(Initializer):
-    """The largest object that fits all masks, without what no photograph shows: a closed mesh with outward faces, at
-    any position and scale.
+    """The largest object that fits all masks, but for a base that no photograph shows: a closed mesh with outward
+    faces, at any position and scale.
     """
 
     def __init__(self, config: VisualHullOptions) -> None:

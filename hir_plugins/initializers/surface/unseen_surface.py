@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera
-from hir_core.mesh.mesh_validity import self_intersections
+from hir_core.mesh.mesh_validity import component_of_vertices, self_intersections
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.mesh.self_intersection_repair import smooth_intersections
 from hir_core.mesh.texture_inpainting import harmonic_vertices
@@ -30,12 +30,8 @@ SMALLEST_SEEN_PATCH = 0.01
 NORMAL_RINGS = 2
 """Rings of neighbours over which normals are averaged on either side of a rim."""
 
-RIM_DEGREES = (15.0, 30.0)
-"""Turn of the normals across a rim: up to the first the hull stays, from the second on the membrane replaces it."""
-
-LEAST_VOLUME = 0.01
-"""Share of the volume below which the hull stays: where cameras are nearly level with the base its cone is flat, and a
-membrane rather cuts what they see at grazing angles."""
+EDGE_DEGREES = 20.0
+"""Mean turn of the normals across the rim of a patch from which a membrane replaces the hull."""
 
 THICKNESS_EDGES = 2.0
 """Median edges that a membrane keeps from the surface on its other side."""
@@ -55,28 +51,25 @@ class UnseenSurface:
 def with_membranes(positions: Points, faces: Faces, cameras: Sequence[Camera]) -> tuple[Points, UnseenSurface]:
     """The vertices (V, 3) of a closed mesh (F, 3), those that no camera sees on membranes between the others.
 
-    They only move inwards, and without new self-intersections. Where the surface goes on smoothly from what cameras
-    see, as below a ball, and where little volume is at stake, the hull is a better guess and stays.
+    They only move inwards, and without new self-intersections. An unseen patch that goes on smoothly from what cameras
+    see, as below a ball, stays: there the hull is the better guess.
     """
     unseen = ~seen_vertices(positions, faces, cameras)
     share = round(_area_share(positions, faces, unseen), 4)
     patch = _patches(faces, unseen)
-    free = unseen & np.isin(patch, _bordered(faces, patch))
+    free = np.isin(patch, np.flatnonzero(_rim_turns(positions, faces, patch) >= EDGE_DEGREES))
     fixed = np.flatnonzero(~free)
     corners, third = np.repeat(fixed[:, None], 3, axis=1), np.full((len(fixed), 3), 1 / 3)
-    sharp = _rim_sharpness(positions, faces, free)
-    values = np.concatenate([positions[fixed], sharp[fixed, None]], axis=1)
-    membrane = harmonic_vertices(faces, len(positions), corners, third, values)
-    target = positions + membrane[:, 3:] * (membrane[:, :3] - positions)
-    moved = _inside(positions, faces, np.where(free[:, None], target, positions))
-    before = signed_volume(positions, faces)
-    if before - signed_volume(moved, faces) < LEAST_VOLUME * before:
+    membrane = harmonic_vertices(faces, len(positions), corners, third, positions[fixed])
+    moved = _inside(positions, faces, np.where(free[:, None], membrane, positions))
+    count = int(np.any(moved != positions, axis=1).sum())
+    if count == 0:
         return positions, UnseenSurface(share, 0, 0.0)
     if len(self_intersections(moved, faces)) > 0:
         allowed = len(self_intersections(positions, faces))
         moved = smooth_intersections(moved, faces, allowed, toward=positions)
-    count = int(np.any(moved != positions, axis=1).sum())
-    return moved, UnseenSurface(share, count, round(1 - signed_volume(moved, faces) / before, 5))
+    lost = 1 - signed_volume(moved, faces) / signed_volume(positions, faces)
+    return moved, UnseenSurface(share, count, round(lost, 5))
 
 
 def seen_vertices(positions: Points, faces: Faces, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
@@ -89,49 +82,36 @@ def seen_vertices(positions: Points, faces: Faces, cameras: Sequence[Camera]) ->
             break
         seen[rest] = visibility.among(rest).from_camera(camera)[0]
     patch = _patches(faces, seen)
-    large = np.bincount(patch[seen]) >= SMALLEST_SEEN_PATCH * len(positions)
-    seen[seen] = large[patch[seen]]
-    return seen
+    large = np.bincount(patch[patch >= 0]) >= SMALLEST_SEEN_PATCH * len(positions)
+    return np.isin(patch, np.flatnonzero(large))
 
 
 def _patches(faces: Faces, chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The connected patch (V,) of each chosen vertex; −1 for the others."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    edges = edges[chosen[edges].all(axis=1)]
-    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(chosen), len(chosen)))
-    label = connected_components(graph, directed=False)[1]
+    """The connected patch (V,) of triangles with three chosen vertices that a vertex belongs to; −1 for none."""
     patch = np.full(len(chosen), -1, dtype=np.int64)
-    patch[chosen] = np.unique(label[chosen], return_inverse=True)[1]
+    inside = faces[chosen[faces].all(axis=1)]
+    if len(inside):
+        component = component_of_vertices(inside)[1]
+        patch[: len(component)] = component
     return patch
 
 
-def _bordered(faces: Faces, patch: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The patches with a neighbour outside of them: the others are whole components, which nothing holds."""
-    of_corner = patch[faces]
-    rim = of_corner[(of_corner >= 0).any(axis=1) & (of_corner < 0).any(axis=1)]
-    return np.unique(rim[rim >= 0])
-
-
-def _rim_sharpness(positions: Points, faces: Faces, free: NDArray[np.bool_]) -> Points:
-    """Of each vertex (V,) beside free ones: 1 where the surface has an edge there, 0 where it goes on smoothly."""
+def _rim_turns(positions: Points, faces: Faces, patch: NDArray[np.int64]) -> Points:
+    """For each patch the mean angle between the normals on the two sides of its rim, in degrees; 0 without a rim."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = np.concatenate([ends, ends[:, ::-1]])
     normals = vertex_normals(positions, faces)
-    same = ends[free[ends[:, 0]] == free[ends[:, 1]]]
-    across = ends[~free[ends[:, 0]] & free[ends[:, 1]]]
+    same = ends[patch[ends[:, 0]] == patch[ends[:, 1]]]
     for _ in range(NORMAL_RINGS):
         total = normals.copy()
         for axis in range(3):
             total[:, axis] += np.bincount(same[:, 0], normals[same[:, 1], axis], len(normals))
         normals = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), np.finfo(float).tiny)
+    across = ends[(patch[ends[:, 0]] >= 0) & (patch[ends[:, 1]] < 0)]
     turn = np.degrees(np.arccos(np.clip((normals[across[:, 0]] * normals[across[:, 1]]).sum(axis=1), -1, 1)))
-    count = np.maximum(np.bincount(across[:, 0], minlength=len(normals)), 1)
-    mean = np.bincount(across[:, 0], turn, len(normals)) / count
-    low, high = RIM_DEGREES
-    return np.clip((mean - low) / (high - low), 0, 1)
+    own, patches = patch[across[:, 0]], int(patch.max(initial=-1)) + 1
+    count = np.bincount(own, minlength=patches)
+    return np.asarray(np.bincount(own, turn, patches) / np.maximum(count, 1))
 
 
 def _inside(positions: Points, faces: Faces, target: Points) -> Points:

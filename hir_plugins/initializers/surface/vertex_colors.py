@@ -73,29 +73,20 @@ def vertex_normals(positions: Array, faces: NDArray[np.int64]) -> Array:
 
 
 class VertexVisibility:
-    """Which vertices of a mesh a camera sees; in a frame of the mesh's size, for Embree works in float32.
+    """Which vertices of a mesh a camera sees; in a frame of the mesh's size, for Embree works in float32."""
 
-    `vertices` has the indices of those that are asked for, all by default; V is their number.
-    """
-
-    def __init__(
-        self,
-        positions: Array,
-        faces: NDArray[np.int64],
-        normals: Array,
-        vertices: NDArray[np.int64] | slice = slice(None),
-    ) -> None:
+    def __init__(self, positions: Array, faces: NDArray[np.int64], normals: Array) -> None:
         self._center = positions.mean(axis=0)
         self._size = float(np.ptp(positions, axis=0).max()) or 1.0
         unit = (positions - self._center) / self._size
-        self._positions, self._normals, self._unit = positions[vertices], normals[vertices], unit[vertices]
+        self._positions, self._normals, self._unit = positions, normals, unit
         edges = unit[faces] - unit[np.roll(faces, -1, axis=1)]
         # larger than the sagitta of a facet, or a curved surface would occlude itself
         self._offset = max(1e-5, 0.2 * float(np.median(np.linalg.norm(edges, axis=2))))
         self._queries = MeshQueries(unit, faces)
 
     def among(self, vertices: NDArray[np.int64]) -> VertexVisibility:
-        """The same for some of these vertices, by their indices (N,); the ray tracer is shared."""
+        """The same for those of these vertices with the indices `vertices` (N,); the ray tracer is shared."""
         chosen = copy.copy(self)
         chosen._positions, chosen._normals = self._positions[vertices], self._normals[vertices]
         chosen._unit = self._unit[vertices]
