@@ -57,7 +57,7 @@ def with_membranes(positions: Points, faces: Faces, cameras: Sequence[Camera]) -
     unseen = ~seen_vertices(positions, faces, cameras)
     share = round(_area_share(positions, faces, unseen), 4)
     patch = _patches(faces, unseen)
-    free = np.isin(patch, np.flatnonzero(_rim_turns(positions, faces, patch) >= EDGE_DEGREES))
+    free = np.isin(patch, np.flatnonzero(_rim_angles(positions, faces, patch) >= EDGE_DEGREES))
     fixed = np.flatnonzero(~free)
     corners, third = np.repeat(fixed[:, None], 3, axis=1), np.full((len(fixed), 3), 1 / 3)
     membrane = harmonic_vertices(faces, len(positions), corners, third, positions[fixed])
@@ -96,7 +96,7 @@ def _patches(faces: Faces, chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
     return patch
 
 
-def _rim_turns(positions: Points, faces: Faces, patch: NDArray[np.int64]) -> Points:
+def _rim_angles(positions: Points, faces: Faces, patch: NDArray[np.int64]) -> Points:
     """For each patch the mean angle between the normals on the two sides of its rim, in degrees; 0 without a rim."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = np.concatenate([ends, ends[:, ::-1]])
