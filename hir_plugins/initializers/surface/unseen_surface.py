@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
 from hir_core.capture import Camera
 from hir_core.mesh.mesh_validity import component_of_vertices, self_intersections
@@ -31,7 +33,12 @@ NORMAL_RINGS = 2
 """Rings of neighbours over which normals are averaged on either side of a rim."""
 
 EDGE_DEGREES = 20.0
-"""Mean turn of the normals across the rim of a patch from which a membrane replaces the hull."""
+"""Mean angle between the normals across the rim of a patch from which a membrane replaces the hull: below it are the
+facets of hulls of round objects."""
+
+EDGE_TIMES_WIDTH = 90.0
+"""The same limit for the angle times the mean distance to the rim, in degrees and edges. A round surface stays below it
+at every size: normals turn the faster across the rim of a thin rod, the fewer edges its underside is wide."""
 
 THICKNESS_EDGES = 2.0
 """Median edges that a membrane keeps from the surface on its other side."""
@@ -52,24 +59,30 @@ def with_membranes(positions: Points, faces: Faces, cameras: Sequence[Camera]) -
     """The vertices (V, 3) of a closed mesh (F, 3), those that no camera sees on membranes between the others.
 
     They only move inwards, and without new self-intersections. An unseen patch that goes on smoothly from what cameras
-    see, as below a ball, stays: there the hull is the better guess.
+    see, as below a ball or a thin rod, stays: there the hull is the better guess.
     """
-    unseen = ~seen_vertices(positions, faces, cameras)
-    share = round(_area_share(positions, faces, unseen), 4)
-    patch = _patches(faces, unseen)
-    free = np.isin(patch, np.flatnonzero(_rim_angles(positions, faces, patch) >= EDGE_DEGREES))
+    patch = unseen_patches(positions, faces, cameras)
+    share = round(_area_share(positions, faces, patch >= 0), 4)
+    angle, distance = rim_angles(positions, faces, patch), mean_rim_distances(faces, patch)
+    sharp = (angle >= EDGE_DEGREES) & (angle * distance >= EDGE_TIMES_WIDTH)
+    moved = membranes(positions, faces, np.isin(patch, np.flatnonzero(sharp)))
+    count = int(np.any(moved != positions, axis=1).sum())
+    if count == 0:
+        return positions, UnseenSurface(share, 0, 0.0)
+    lost = 1 - signed_volume(moved, faces) / signed_volume(positions, faces)
+    return moved, UnseenSurface(share, count, round(lost, 5))
+
+
+def membranes(positions: Points, faces: Faces, free: NDArray[np.bool_]) -> Points:
+    """The vertices (V, 3), the `free` ones (V,) inwards on the harmonic surface between the others."""
     fixed = np.flatnonzero(~free)
     corners, third = np.repeat(fixed[:, None], 3, axis=1), np.full((len(fixed), 3), 1 / 3)
     membrane = harmonic_vertices(faces, len(positions), corners, third, positions[fixed])
     moved = _inside(positions, faces, np.where(free[:, None], membrane, positions))
-    count = int(np.any(moved != positions, axis=1).sum())
-    if count == 0:
-        return positions, UnseenSurface(share, 0, 0.0)
-    if len(self_intersections(moved, faces)) > 0:
+    if not np.array_equal(moved, positions) and len(self_intersections(moved, faces)) > 0:
         allowed = len(self_intersections(positions, faces))
         moved = smooth_intersections(moved, faces, allowed, toward=positions)
-    lost = 1 - signed_volume(moved, faces) / signed_volume(positions, faces)
-    return moved, UnseenSurface(share, count, round(lost, 5))
+    return moved
 
 
 def seen_vertices(positions: Points, faces: Faces, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
@@ -86,6 +99,11 @@ def seen_vertices(positions: Points, faces: Faces, cameras: Sequence[Camera]) ->
     return np.isin(patch, np.flatnonzero(large))
 
 
+def unseen_patches(positions: Points, faces: Faces, cameras: Sequence[Camera]) -> NDArray[np.int64]:
+    """The connected patch (V,) of surface that no camera sees to which a vertex belongs; −1 for none."""
+    return _patches(faces, ~seen_vertices(positions, faces, cameras))
+
+
 def _patches(faces: Faces, chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
     """The connected patch (V,) of triangles with three chosen vertices that a vertex belongs to; −1 for none."""
     patch = np.full(len(chosen), -1, dtype=np.int64)
@@ -96,10 +114,9 @@ def _patches(faces: Faces, chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
     return patch
 
 
-def _rim_angles(positions: Points, faces: Faces, patch: NDArray[np.int64]) -> Points:
+def rim_angles(positions: Points, faces: Faces, patch: NDArray[np.int64]) -> Points:
     """For each patch the mean angle between the normals on the two sides of its rim, in degrees; 0 without a rim."""
-    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    ends = np.concatenate([ends, ends[:, ::-1]])
+    ends = _directed_edges(faces)
     normals = vertex_normals(positions, faces)
     same = ends[patch[ends[:, 0]] == patch[ends[:, 1]]]
     for _ in range(NORMAL_RINGS):
@@ -112,6 +129,23 @@ def _rim_angles(positions: Points, faces: Faces, patch: NDArray[np.int64]) -> Po
     own, patches = patch[across[:, 0]], int(patch.max(initial=-1)) + 1
     count = np.bincount(own, minlength=patches)
     return np.asarray(np.bincount(own, turn, patches) / np.maximum(count, 1))
+
+
+def mean_rim_distances(faces: Faces, patch: NDArray[np.int64]) -> Points:
+    """For each patch the mean number of edges from its vertices to the nearest one outside of it; 0 without a rim."""
+    member, patches = patch >= 0, int(patch.max(initial=-1)) + 1
+    if patches == 0 or member.all():
+        return np.zeros(patches)
+    ends = _directed_edges(faces)
+    graph = csr_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (len(patch), len(patch)))
+    distance = dijkstra(graph, indices=np.flatnonzero(~member), unweighted=True, min_only=True)[member]
+    distance[~np.isfinite(distance)] = 0  # of a component that no photograph shows
+    return np.asarray(np.bincount(patch[member], distance, patches) / np.bincount(patch[member], minlength=patches))
+
+
+def _directed_edges(faces: Faces) -> NDArray[np.int64]:
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return np.concatenate([ends, ends[:, ::-1]])
 
 
 def _inside(positions: Points, faces: Faces, target: Points) -> Points:

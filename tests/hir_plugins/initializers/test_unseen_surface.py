@@ -14,7 +14,9 @@ from hir_core.capture import Camera
 from hir_core.mesh.mesh_validity import inspect_mesh
 from hir_plugins.initializers.hull.visual_hull import VisualHull
 from hir_plugins.initializers.options import VisualHullOptions
+from hir_plugins.initializers.surface import unseen_surface
 from hir_plugins.initializers.surface.unseen_surface import THICKNESS_EDGES, with_membranes
+from tests.fixtures.meshes import torus
 from tests.fixtures.silhouette_captures import hits_boxes, look_at, shape_capture
 
 Points = NDArray[np.float64]
@@ -97,6 +99,18 @@ def test_the_hull_of_a_ball_stays() -> None:
     moved, report = with_membranes(positions, faces, ring_of_cameras(TURNTABLE, 50))
     assert report.area_share > 0.02
     assert np.abs(moved - positions).max() < 0.1 * EDGE
+
+
+@pytest.mark.parametrize("elevation", [3.0, TURNTABLE])
+def test_a_thin_rod_stays_round(elevation: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    # a rod a few edges thick: its normals turn by more than `EDGE_DEGREES` across the rim of its underside
+    positions, faces = torus(around=240, tube=24, small=0.1)
+    cameras = ring_of_cameras(elevation, 50, 80)
+    moved, report = with_membranes(positions, faces, cameras)
+    np.testing.assert_array_equal(moved, positions)
+    assert report.area_share > 0.05
+    monkeypatch.setattr(unseen_surface, "EDGE_TIMES_WIDTH", 0)
+    assert with_membranes(positions, faces, cameras)[1].moved_vertices > 0
 
 
 def test_a_well_that_no_camera_looks_into_is_not_filled() -> None:
