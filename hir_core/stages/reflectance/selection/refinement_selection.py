@@ -18,7 +18,7 @@ from hir_core.stages.reflectance.selection.exposure_selection import (
     exposures_may_differ,
 )
 from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
-from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits, gain_of
+from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits, gain_of, on_more_views
 from hir_core.stages.reflectance.selection.held_out_comparison import (
     REQUIRED_STANDARD_ERRORS,
     SMALLEST_ERROR,
@@ -29,7 +29,7 @@ from hir_core.stages.reflectance.selection.held_out_comparison import (
     is_refined,
     paired_gain,
 )
-from hir_core.stages.reflectance.selection.successive_halving import Budget
+from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, Budget
 
 REQUIRED_STANDARD_ERRORS_OF_NORMALS = 2.0
 """Two more values for each vertex can imitate much: on three views of a smooth ball under a sun, normals gained
@@ -159,6 +159,8 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def compare_per_texel(self) -> None:
         """Selects the per-texel BRDF where held-out views gain over a per-texel albedo; neither continues the fit.
 
+        A gain between one and two standard errors is measured again with the views of the other folds.
+
         It is not selected where it is behind the model that it would replace: both may share a limit of texels, such as
         the width of the narrowest lobe. Where maps of the lobe at vertices were accepted, vertices are fine enough for
         what varies. A normal map says nothing about that; each texel then has its own normal in its place.
@@ -169,15 +171,32 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if not self._is_worth_comparing(replace(self.spec, normals="mesh", per_texel="brdf")):
             return
         control, candidate = self._per_texel(self.fit)
-        views = len(control.errors)
+        judged, views = candidate, len(candidate.errors)
         gain, standard_error = paired_gain(control.errors, candidate.errors)
         accepted = is_refined(control.errors, candidate.errors, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
         change, error_of_change = paired_gain(self.fit.errors, candidate.errors)
         if differs(-change, error_of_change, views):
             gain, standard_error, accepted = change, error_of_change, False
+        elif not accepted and is_refined(control.errors, candidate.errors) and len(self._fits.further):
+            control, judged = self._per_texel_on_more_views(control, candidate)
+            gain, standard_error = paired_gain(control.errors, judged.errors)
+            accepted = is_refined(control.errors, judged.errors, REQUIRED_STANDARD_ERRORS_OF_NORMALS)
         if accepted:
             self.fit = candidate
-        self._record(candidate, gain, standard_error, accepted)
+        self._record(judged, gain, standard_error, accepted)
+
+    def _per_texel_on_more_views(
+        self, control: FoldedFit[FitT], candidate: FoldedFit[FitT]
+    ) -> tuple[FoldedFit[FitT], FoldedFit[FitT]]:
+        """Control and candidate on the views of all folds: few views may not tell a gain from noise."""
+        spec, more = replace(self.spec, normals="mesh"), self._fits.further
+        self._fits.expect(sum(fit_cost(spec, each.effort, each.pixel_share) for each in ROUNDS))
+        fit = None
+        for budget in ROUNDS:
+            fit = self._fits.fit(spec, fit, budget.effort, budget.pixel_share, folds=more)
+        assert fit is not None
+        albedo, brdf = self._per_texel(fit, more)
+        return on_more_views(control, albedo), on_more_views(candidate, brdf)
 
     def compare_per_texel_of_rival(self, rival: FoldedFit[FitT]) -> FoldedFit[FitT] | None:
         """Selects the per-texel BRDF of a rival under a light in the world, in place of a light on the camera.
@@ -200,10 +219,10 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         self._record(candidate, *paired_gain(before, after), accepted)
         return at_vertices if accepted else None
 
-    def _per_texel(self, fit: FoldedFit[FitT]) -> tuple[FoldedFit[FitT], FoldedFit[FitT]]:
+    def _per_texel(self, fit: FoldedFit[FitT], folds: range | None = None) -> tuple[FoldedFit[FitT], FoldedFit[FitT]]:
         """A fit at vertices with a per-texel albedo, and with a per-texel BRDF."""
         albedo, brdf = (
-            self._fits.fit(spec, fit, 0.0, cost_effort=COMPARISON.effort)
+            self._fits.fit(spec, fit, 0.0, cost_effort=COMPARISON.effort, folds=folds)
             for spec in (
                 replace(fit.spec, normals="mesh", per_texel="albedo"),
                 replace(fit.spec, normals="mesh", per_texel="brdf"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from hir_core.stages.reflectance.selection.model_selection import select_model
 from hir_core.stages.reflectance.selection.requested_model import forced_spec
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 from hir_core.stages.reflectance.stage_progress import StageProgress
-from tests.hir_core.stages.reflectance.selection.scripted_solver import Recorder, Scripted, chosen, level, select
+from tests.hir_core.stages.reflectance.selection.scripted_solver import Fit, Recorder, Scripted, chosen, level, select
 
 
 def test_more_steps_alone_are_no_gain() -> None:
@@ -254,6 +255,44 @@ def test_per_texel_brdf_is_compared_with_per_texel_albedo() -> None:
     assert selection.spec == ModelSpec("dielectric", "uniform")
     last = selection.comparisons[-1]
     assert not last.accepted and last.spec.per_texel == "brdf" and last.gain_db == pytest.approx(0)
+
+
+class ScriptedTexels(Scripted):
+    """A per-texel BRDF gains 0.6 dB on the first held-out views, half of them more and half less by `deviation` dB, and
+    `later` dB on others.
+    """
+
+    def __init__(self, deviation: float, later: float) -> None:
+        super().__init__(lambda spec: level(30 if spec.kind == "dielectric" else 20))
+        self._deviation, self._later = deviation, later
+        self.first: set[int] = set()
+
+    def errors(self, fit: Fit, views: Sequence[int]) -> np.ndarray:
+        self.first = self.first or set(views)
+        errors = super().errors(fit, views)
+        if fit.spec.per_texel != "brdf":
+            return errors
+        gain = 0.6 if set(views) == self.first else self._later
+        return errors * 10 ** (-0.1 * (gain + self._deviation * (-1) ** np.arange(len(views))))
+
+
+@pytest.mark.parametrize(
+    ("deviation", "later", "views", "accepted"),
+    [(0.65, 0.8, 12, True), (0.65, -0.6, 12, False), (0.1, -0.6, 6, True), (2.0, 0.8, 6, False)],
+)
+def test_a_doubtful_gain_of_texels_is_measured_on_more_views(
+    deviation: float, later: float, views: int, accepted: bool
+) -> None:
+    """0.6 ± 0.3 dB exceeds one standard error, not two."""
+    solver, recorder = ScriptedTexels(deviation, later), Recorder()
+    selection = select(solver, ReflectanceSettings(light_frame="world"), 48, recorder)
+    last = selection.comparisons[-1]
+    assert last.spec.per_texel == "brdf" and (last.held_out_views, last.accepted) == (views, accepted)
+    assert last.gain_db == pytest.approx(0.6 if views == 6 else (0.6 + later) / 2)
+    assert (selection.spec.per_texel == "brdf") == accepted
+    assert selection.held_out_errors is not None
+    assert len(selection.held_out_errors) == 6, "a comparison with another mesh is on the same views"
+    assert recorder.shares == sorted(recorder.shares) and recorder.shares[-1] <= 1
 
 
 def test_comparisons_are_timed_when_they_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
