@@ -57,6 +57,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.shading import TransportSha
 from hir_plugins.reflectance_renderers.transport_ggx.textures.albedo_refinement import AlbedoRefinement
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs
 from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import ImageCache
+from hir_plugins.reflectance_renderers.transport_ggx.textures.light_refit import light_pixels, refit_light
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import LitSurface, pixel_brdfs
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_maps import solve_per_texel_maps
 from hir_plugins.reflectance_renderers.transport_ggx.textures.shaded_points import ShadedPoints
@@ -66,6 +67,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve impo
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
+COMPARED_LIGHT_PIXELS = 30_000
+"""Pixels to which a light is fitted again where per-texel BRDFs are compared."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
 """Effort, at most, and share of the pixels of the short fits that choose initial values."""
@@ -100,6 +103,8 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         self._grid_lock = Lock()
         self._of_thread = local()
         self._lit_surface: tuple[Parameters, ModelSpec, tuple[int, ...], LitSurface] | None = None
+        self._refitted: tuple[LitSurface, LitSurface] | None = None
+        """A lit surface, and the same one under the light that was fitted again."""
         self._grids: dict[int, GradientGrid | None] = {}
         self._rotation = camera_rotations(capture, transport.surface.positions.device)
         self._cameras = LampCameras.of_capture(capture, transport.surface.positions)
@@ -303,7 +308,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         interval = max(1, math.ceil(len(photographs) / MAX_COMPARED_POINTS))
         few = photographs.take(torch.arange(0, len(photographs), interval))
         with torch.no_grad():
-            return few, pixel_brdfs(self._lit(fit), few, fit.spec.per_texel == "brdf")
+            return few, pixel_brdfs(self._lit_at_texels(fit), few, fit.spec.per_texel == "brdf")
 
     def _shaded(
         self, fit: Fit, pixels: ObservedPixels, brdfs: PointBrdfs, draw: int
@@ -317,8 +322,26 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             return PixelColors.of(pixels), pixels.color
         seed = draw * DRAW_SEEDS + (self._options.seed << 32)
         with torch.no_grad():
-            shaded = ShadedPoints.of(self._lit(fit), pixels.points, brdfs, self._options.samples, seed)
+            shaded = ShadedPoints.of(self._lit_at_texels(fit), pixels.points, brdfs, self._options.samples, seed)
             return PixelColors.of(pixels), brdfs.albedo * shaded.gain + shaded.lobe
+
+    def _lit_at_texels(self, fit: Fit) -> LitSurface:
+        """The surface under the light of a fit; for a BRDF at each texel that light is fitted again, as for textures.
+        """
+        lit = self._lit(fit)
+        if fit.spec.per_texel != "brdf" or fit.spec.light_is_known:
+            return lit
+        cached = self._refitted
+        if cached is not None and cached[0] is lit:
+            return cached[1]
+        self._refitted = cached = None  # frees its probes
+        pixels = light_pixels(self._pixels.of(fit.views), self._options.seed, COMPARED_LIGHT_PIXELS)
+        with torch.no_grad():
+            values = pixel_brdfs(lit, pixels)
+        with torch.enable_grad():
+            refitted = refit_light(lit, pixels, values, self._options)
+        self._refitted = lit, refitted
+        return refitted
 
     def _lit(self, fit: Fit) -> LitSurface:
         """The surface under the light of a fit; the last one is cached, because comparisons use it four times."""
@@ -326,7 +349,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
         cached = self._lit_surface
         if cached is not None and cached[0] is fit.parameters and cached[1:3] == (spec, fit.views):
             return cached[3]
-        self._lit_surface = cached = None  # frees its probes before there are new ones
+        self._lit_surface = self._refitted = cached = None  # frees its probes before there are new ones
         lit = LitSurface.of(self._transport, self._images, fit.views, spec, fit.scene_parameters)
         self._lit_surface = fit.parameters, spec, fit.views, lit
         return lit

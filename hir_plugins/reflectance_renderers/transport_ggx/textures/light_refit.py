@@ -30,11 +30,11 @@ MAX_LIGHT_PIXELS = 120_000
 """Pixels whose lobes are in memory, some 1 kB each."""
 
 
-def light_pixels(pixels: ObservedPixels, seed: int) -> ObservedPixels:
-    """A random subset of at most `MAX_LIGHT_PIXELS` pixels."""
-    if len(pixels) <= MAX_LIGHT_PIXELS:
+def light_pixels(pixels: ObservedPixels, seed: int, most: int = MAX_LIGHT_PIXELS) -> ObservedPixels:
+    """A random subset of at most so many pixels."""
+    if len(pixels) <= most:
         return pixels
-    return pixels.take(torch.randperm(len(pixels), generator=torch.Generator().manual_seed(seed))[:MAX_LIGHT_PIXELS])
+    return pixels.take(torch.randperm(len(pixels), generator=torch.Generator().manual_seed(seed))[:most])
 
 
 def refit_light(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -117,3 +118,19 @@ def test_held_out_pixels_are_shaded_as_textures_are() -> None:
     assert torch.allclose(shown, expected, atol=1e-4, rtol=1e-3) and float(expected.max()) > 0.1
     _, other = solver._shaded(fit, pixels, values, draw=1)
     assert not torch.equal(other, shown)
+
+
+def test_held_out_pixels_are_shown_under_the_light_of_textures() -> None:
+    """Textures with per-texel BRDFs get a light that is fitted again, and so does their comparison."""
+    truth = brocade()
+    options = TransportGGXOptions(vertices=0, cache_cells=200, samples=6, steps=1)
+    solver = TransportGGX(options).prepare(truth, photographs(truth, around(6), size=32))
+    spec = ModelSpec("dielectric", "uniform", light_is_known=True, per_texel="brdf")
+    known = solver.fit(spec, None, range(5), 0.1, lambda share: None)
+    assert solver._lit_at_texels(known) is solver._lit(known)
+    tilt = torch.linspace(-1, 1, known.parameters.light.shape[1])[None, :, None]
+    wrong = replace(known, parameters=replace(known.parameters, light=known.parameters.light + tilt))
+    refitted = replace(wrong, spec=replace(spec, light_is_known=False))
+    true, left, again = (float(solver.errors(fit, [5])[0]) for fit in (known, wrong, refitted))
+    assert again - true < 0.5 * (left - true)
+    assert solver._lit_at_texels(refitted) is solver._lit_at_texels(refitted), "it is fitted once"
