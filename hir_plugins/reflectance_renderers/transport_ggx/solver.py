@@ -67,7 +67,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.textures.texture_solve impo
 MIN_VIEW_DEGREES = math.degrees(math.asin(MIN_VIEW_COSINE))
 MAX_COMPARED_POINTS = 12_000
 """Surface points of held-out views at which per-texel values are solved to compare them."""
-COMPARED_LIGHT_PIXELS = 30_000
+COMPARED_LIGHT_PIXELS = 10_000
 """Pixels to which a light is fitted again where per-texel BRDFs are compared."""
 TRIAL_EFFORT = 0.25
 TRIAL_PIXEL_SHARE = 0.4
