@@ -56,8 +56,8 @@ from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.shading import TransportShading
 from hir_plugins.reflectance_renderers.transport_ggx.textures.albedo_refinement import AlbedoRefinement
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs
-from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import ImageCache
 from hir_plugins.reflectance_renderers.transport_ggx.textures.light_refit import light_pixels, refit_light
+from hir_plugins.reflectance_renderers.transport_ggx.textures.observations import ImageCache
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_brdf import LitSurface, pixel_brdfs
 from hir_plugins.reflectance_renderers.transport_ggx.textures.per_texel_maps import solve_per_texel_maps
 from hir_plugins.reflectance_renderers.transport_ggx.textures.shaded_points import ShadedPoints
@@ -326,8 +326,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             return PixelColors.of(pixels), brdfs.albedo * shaded.gain + shaded.lobe
 
     def _lit_at_texels(self, fit: Fit) -> LitSurface:
-        """The surface under the light of a fit; for a BRDF at each texel that light is fitted again, as for textures.
-        """
+        """The surface under the light of a fit; for a BRDF at each texel that light is fitted again, as for textures."""
         lit = self._lit(fit)
         if fit.spec.per_texel != "brdf" or fit.spec.light_is_known:
             return lit
