@@ -326,7 +326,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
             return PixelColors.of(pixels), brdfs.albedo * shaded.gain + shaded.lobe
 
     def _lit_at_texels(self, fit: Fit) -> LitSurface:
-        """The surface under the light of a fit; for a BRDF at each texel that light is fitted again, as for textures."""
+        """The surface under the light of a fit, which is fitted again for a BRDF at each texel, as for textures."""
         lit = self._lit(fit)
         if fit.spec.per_texel != "brdf" or fit.spec.light_is_known:
             return lit
