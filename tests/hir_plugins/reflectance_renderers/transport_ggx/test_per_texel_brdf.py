@@ -128,8 +128,8 @@ def test_held_out_pixels_are_shown_under_the_light_of_textures() -> None:
     spec = ModelSpec("dielectric", "uniform", light_is_known=True, per_texel="brdf")
     known = solver.fit(spec, None, range(5), 0.1, lambda share: None)
     assert solver._lit_at_texels(known) is solver._lit(known)
-    tilt = torch.linspace(-1, 1, known.parameters.light.shape[1])[None, :, None]
-    wrong = replace(known, parameters=replace(known.parameters, light=known.parameters.light + tilt))
+    ramp = torch.linspace(-1, 1, known.parameters.light.shape[1])[None, :, None]
+    wrong = replace(known, parameters=replace(known.parameters, light=known.parameters.light + ramp))
     refitted = replace(wrong, spec=replace(spec, light_is_known=False))
     true, left, again = (float(solver.errors(fit, [5])[0]) for fit in (known, wrong, refitted))
     assert again - true < 0.5 * (left - true)
