@@ -87,7 +87,7 @@ def measured(body: trimesh.Trimesh, side: int, lowest: float, plugins: PluginMan
     positions, faces = found.mesh.positions.numpy().astype(np.float64), found.mesh.faces.numpy().astype(np.int64)
     patch = unseen_surface.unseen_patches(positions, faces, cameras)
     angles = unseen_surface.rim_angles(positions, faces, patch)
-    widths = unseen_surface.mean_rim_distances(faces, patch)
+    distances = unseen_surface.mean_rim_distances(faces, patch)
     spanned = unseen_surface.membranes(positions, faces, patch >= 0)
     truth = np.asarray(body.vertices, np.float64), np.asarray(body.faces, np.int64)
     # all around, so that the underside counts
@@ -101,7 +101,7 @@ def measured(body: trimesh.Trimesh, side: int, lowest: float, plugins: PluginMan
         "chamfer_membrane": round(compare_surfaces((spanned, faces), truth, seen_by).chamfer, 5),
         "largest_patch": 0 if largest is None else int((patch == largest).sum()),
         "angle": None if largest is None else round(float(angles[largest]), 1),
-        "rim_distance": None if largest is None else round(float(widths[largest]), 2),
+        "rim_distance": None if largest is None else round(float(distances[largest]), 2),
         **provenance(),
     }
 

@@ -36,9 +36,10 @@ EDGE_DEGREES = 20.0
 """Mean angle between the normals across the rim of a patch from which a membrane replaces the hull: below it are the
 facets of hulls of round objects."""
 
-EDGE_TIMES_WIDTH = 90.0
-"""The same limit for the angle times the mean distance to the rim, in degrees and edges. A round surface stays below it
-at every size: normals turn the faster across the rim of a thin rod, the fewer edges its underside is wide."""
+EDGE_DEGREES_TIMES_DISTANCE = 90.0
+"""Angle across the rim times mean distance to it, in degrees and edges, from which the same holds. It does not depend
+on the size: the fewer edges the underside of a rod is wide, the larger is the angle. Round bodies of six sizes stay
+below 78 where the angle reaches `EDGE_DEGREES`, flat ones begin at 92 (docs/studies/unseen_surface.md)."""
 
 THICKNESS_EDGES = 2.0
 """Median edges that a membrane keeps from the surface on its other side."""
@@ -64,7 +65,7 @@ def with_membranes(positions: Points, faces: Faces, cameras: Sequence[Camera]) -
     patch = unseen_patches(positions, faces, cameras)
     share = round(_area_share(positions, faces, patch >= 0), 4)
     angle, distance = rim_angles(positions, faces, patch), mean_rim_distances(faces, patch)
-    sharp = (angle >= EDGE_DEGREES) & (angle * distance >= EDGE_TIMES_WIDTH)
+    sharp = (angle >= EDGE_DEGREES) & (angle * distance >= EDGE_DEGREES_TIMES_DISTANCE)
     moved = membranes(positions, faces, np.isin(patch, np.flatnonzero(sharp)))
     count = int(np.any(moved != positions, axis=1).sum())
     if count == 0:

@@ -109,7 +109,7 @@ def test_a_thin_rod_stays_round(elevation: float, monkeypatch: pytest.MonkeyPatc
     moved, report = with_membranes(positions, faces, cameras)
     np.testing.assert_array_equal(moved, positions)
     assert report.area_share > 0.05
-    monkeypatch.setattr(unseen_surface, "EDGE_TIMES_WIDTH", 0)
+    monkeypatch.setattr(unseen_surface, "EDGE_DEGREES_TIMES_DISTANCE", 0)
     assert with_membranes(positions, faces, cameras)[1].moved_vertices > 0
 
 

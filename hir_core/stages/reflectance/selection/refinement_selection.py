@@ -190,7 +190,8 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     ) -> tuple[FoldedFit[FitT], FoldedFit[FitT]]:
         """Control and candidate on the views of all folds: few views may not tell a gain from noise."""
         spec, more = replace(self.spec, normals="mesh"), self._fits.further
-        self._fits.expect(sum(fit_cost(spec, each.effort, each.pixel_share) for each in ROUNDS))
+        at_vertices = sum(fit_cost(spec, each.effort, each.pixel_share) for each in ROUNDS)
+        self._fits.expect(at_vertices + 2 * fit_cost(spec, COMPARISON.effort))
         fit = None
         for budget in ROUNDS:
             fit = self._fits.fit(spec, fit, budget.effort, budget.pixel_share, folds=more)
