@@ -26,8 +26,8 @@ class View:
     camera: Camera | None
     read: Callable[[], Pixels]
     """Reads the file; readers provide a picklable callable."""
-    mask: NDArray[np.float32] | None = None
-    """A mask that replaces the one of the file, for the undistorted image; set by mask sources."""
+    mask: NDArray[np.floating] | None = None
+    """A mask that replaces the one of the file, for the undistorted image; set by mask sources, in 16 bits."""
     distortion: tuple[float, ...] = ()
     """OpenCV order k1 k2 p1 p2 [k3 …], of the photograph that `read` returns. `pixels` removes the distortion, so that
     `camera` is a pinhole with the same intrinsics."""
@@ -70,7 +70,7 @@ class View:
                     f"the mask of {self.name} is {self.mask.shape[1]}×{self.mask.shape[0]}, "
                     f"its image {pixels.color_linear.shape[1]}×{pixels.color_linear.shape[0]}"
                 )
-            pixels = replace(pixels, mask=self.mask)
+            pixels = replace(pixels, mask=self.mask.astype(np.float32))
         return pixels.downsampled(downsample)
 
 

@@ -6,6 +6,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from hir_core.capture import Capture
 
 if TYPE_CHECKING:
@@ -68,8 +70,10 @@ def apply_mask_sources(
         found = source.masks(capture, scene)
         views = list(capture.views)
         for i in needed:
-            if found[i] is not None:
-                views[i] = replace(views[i], mask=found[i])
+            mask = found[i]
+            if mask is not None:
+                # half the memory; the run's folder stores these values, too
+                views[i] = replace(views[i], mask=mask.astype(np.float16))
         needed = [i for i in needed if found[i] is None]
         capture = replace(capture, views=tuple(views))
     return capture

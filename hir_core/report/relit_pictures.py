@@ -15,7 +15,8 @@ import numpy as np
 
 from hir_core.capture import block_mean
 from hir_core.metrics import Image, composite, unassociate
-from hir_core.rendering.reference_renderer import reference_renderer, render_view
+from hir_core.rendering.converged_pair import SAMPLES, converged_pair
+from hir_core.rendering.reference_renderer import reference_renderer
 from hir_core.rendering.textured_scan import texture_as_material, textured_scan
 from hir_core.rendering.unlit_renderer import UnlitRenderer
 from hir_core.scene import EnvironmentMap, Scene
@@ -23,6 +24,7 @@ from hir_core.scene.scene_store import load_stage_scene
 
 if TYPE_CHECKING:
     from hir_core.capture import Camera
+    from hir_core.plugins.interfaces import ReflectanceRenderer
     from hir_core.plugins.manager import PluginManager
     from hir_core.rendering.photographs import MaskedPhotograph
     from hir_core.run.finished_run import FinishedRun
@@ -31,9 +33,6 @@ TURN_DEGREES = 120.0
 """The light of the fit is turned by this about the vertical."""
 SIDE = 512
 """Longest side of the pictures, at most."""
-SAMPLES = 128
-"""Paths per pixel of each picture, as many as the two renders of a photograph's view have together."""
-
 SCAN, VERTICES = "scan", "vertices"
 """Where the texture is from: from the file of the scan, or from the photographs at the vertices."""
 PHOTOGRAPH, FOUND, RELIT = "compared_photograph", "compared", "relit"
@@ -61,9 +60,9 @@ def relit_pictures(
     target = true.color_linear * true.mask[..., None]
     light = turned(run.scene.environment, TURN_DEGREES)
     _, renderer = reference_renderer(plugins, bounces=run.bounces, max_samples=SAMPLES)
-    after = render_view(renderer, run.with_light(light), small, f"{RELIT}_{MATERIAL}")
+    after = _converged(renderer, run.with_light(light), small, f"{RELIT}_{MATERIAL}")
     lit = replace(textured, environment=light).to(light.radiance.device)
-    before = render_view(renderer, lit, small, f"{RELIT}_{VERTICES}")
+    before = _converged(renderer, lit, small, f"{RELIT}_{VERTICES}")
     unlit = UnlitRenderer(textured).render(small)
     return {
         PHOTOGRAPH: true.picture,
@@ -94,6 +93,11 @@ def _as_bright_as(image: Image, target: Image) -> Image:
     scaled = image.copy()
     scaled[..., :3] *= wanted / own if own > 0 else 1.0
     return scaled
+
+
+def _converged(renderer: ReflectanceRenderer, scene: Scene, camera: Camera, label: str) -> Image:
+    first, second = converged_pair(renderer, scene, camera, label)
+    return (first + second) / np.float32(2)
 
 
 def _picture(image: Image) -> Image:

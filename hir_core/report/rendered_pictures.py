@@ -16,9 +16,10 @@ from hir_exporters.textures.image_files import write_png
 from hir_core.capture import block_mean
 from hir_core.files.file_names import file_stem
 from hir_core.metrics import OBJECT_COVERAGE, Image, composite, mean, psnr, psnr_without_noise, unassociate
+from hir_core.rendering.converged_pair import SAMPLES, converged_pair
 from hir_core.rendering.map_error_pictures import map_error_pictures
 from hir_core.rendering.photographs import MaskedPhotograph, difference_picture, masked_photograph
-from hir_core.rendering.reference_renderer import reference_renderer, render_view
+from hir_core.rendering.reference_renderer import reference_renderer
 from hir_core.rendering.unlit_renderer import UnlitRenderer
 from hir_core.rendering.view_selection import evenly_spaced_indices
 from hir_core.report.relit_pictures import relit_pictures
@@ -36,10 +37,6 @@ VIEWS = 4
 
 ERROR_SIDE = 512
 """Longest side of a picture of the errors of maps, at most; two stand side by side."""
-
-SAMPLES = 64
-"""Paths per pixel of each of two renders. A picture is their mean. The figures are means of the product of their
-errors, in which independent noise cancels."""
 
 SMALL_SIDE = 192
 """Approximate maximum side of the renders of intermediate stages, which are measured and not shown."""
@@ -129,13 +126,13 @@ class _PathTracer:
         )
 
     def pair(self, camera: Camera, view: View) -> tuple[Image, Image]:
-        """Two renders (H, W, 4) with independent noise."""
-        return self._rendered(camera, view, ", first"), self._rendered(camera, view, ", second")
-
-    def _rendered(self, camera: Camera, view: View, label: str) -> Image:
-        fit = render_view(self._renderer, self._in_take(view.take), camera, view.name + label)
-        fit[..., :3] *= view.gain
-        return fit
+        """Two renders (H, W, 4) with independent noise. A picture is their mean. The figures are means of the product
+        of their errors, in which the noise cancels.
+        """
+        pair = converged_pair(self._renderer, self._in_take(view.take), camera, view.name)
+        for fit in pair:
+            fit[..., :3] *= view.gain
+        return pair
 
 
 def stage_psnr(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from hir_core.capture.capture_size import CaptureSize
-from hir_core.capture.pixel_cache import DEFAULT_BYTES
+from hir_core.capture.pixel_cache import DEFAULT_BYTES, PIXEL_BYTES
 from hir_core.config import RunConfig
 from hir_core.errors import ConfigError, StageError
 
@@ -113,7 +113,7 @@ def _candidates(
     plan: MemoryPlan, plugins: PluginManager, size: CaptureSize, worst: str
 ) -> Iterator[tuple[RunConfig, int, dict[str, str]]]:
     """Settings, bytes of the pixel cache, and what changed; the least harmful change first."""
-    config, used = plan.config, min(plan.cache_bytes, size.pixels * DECODED_PIXEL_BYTES)
+    config, used = plan.config, min(plan.cache_bytes, size.pixels * PIXEL_BYTES)
     cache = max(MIN_CACHE_BYTES, used - (plan.total(worst) - plan.limit))
     if cache < used:
         yield config, cache, {"cache of decoded photographs": gigabytes(cache)}
@@ -149,7 +149,7 @@ def _with(changes: tuple[str, ...], new: Mapping[str, str]) -> tuple[str, ...]:
 def _estimated(
     config: RunConfig, plugins: PluginManager, size: CaptureSize, cache: int, limit: int, changes: tuple[str, ...]
 ) -> MemoryPlan:
-    cached = min(cache, size.pixels * DECODED_PIXEL_BYTES)
+    cached = min(cache, size.pixels * PIXEL_BYTES)
     common = {"program": BASE_PROCESS_BYTES, "photographs": cached}
     stages: dict[str, dict[str, int]] = {
         # a distance field and a mask for each view, and one picture in work

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hir_core.capture import Camera, Capture, Pixels
 from hir_core.plugins.interfaces import MaskSource
-from hir_plugins.masks.object_region import consistent_silhouettes, draw_discs, object_points
+from hir_plugins.masks.object_region import consistent_points, draw_discs, object_points
 from hir_plugins.masks.options import GrabCutOptions
 
 if TYPE_CHECKING:
@@ -45,10 +45,12 @@ class GrabCut(MaskSource):
         outer = [draw_discs(points, camera, self._config.margin * radius) for camera in cameras]
         # OpenCV releases Python's lock during GrabCut and uses one core
         with ThreadPoolExecutor(max_workers=max(1, cv2.getNumThreads())) as pool:
-            masks = list(pool.map(cut_by_colour, images, sure, likely, outer, repeat(self._config.seed)))
+            iterations, seed = repeat(self._config.iterations), repeat(self._config.seed)
+            masks = list(pool.map(cut_by_colour, images, sure, likely, outer, iterations, seed))
             for _ in range(self._config.rounds):
-                regions = consistent_silhouettes(masks, cameras, center, 1.6 * radius, self._config.agreement)
-                masks = list(pool.map(_cut_again, images, sure, regions, repeat(self._config.seed)))
+                agreed, reach = consistent_points(masks, cameras, center, 1.6 * radius, self._config.agreement)
+                regions = [draw_discs(agreed, camera, reach) for camera in cameras]
+                masks = list(pool.map(_cut_again, images, sure, regions, iterations, seed))
         return [
             refine_edge(view.pixels().color_linear, mask, factor)
             for view, mask, factor in zip(capture.views, masks, factors, strict=True)
@@ -63,7 +65,8 @@ def cut_by_colour(
     sure: NDArray[np.bool_],
     likely: NDArray[np.bool_],
     outer: NDArray[np.bool_],
-    seed: int = 0,
+    iterations: int,
+    seed: int,
 ) -> NDArray[np.bool_]:
     """Object pixels (H, W) of an 8-bit image: all of `sure`, none outside `outer`, by colour in between.
 
@@ -80,12 +83,12 @@ def cut_by_colour(
     if object_seeds.sum() < 50 or background.sum() < 50:
         return object_seeds
     cv2.setRNGSeed(seed)
-    cv2.grabCut(image, labels, (0, 0, 1, 1), np.zeros((1, 65)), np.zeros((1, 65)), 4, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(image, labels, (0, 0, 1, 1), np.zeros((1, 65)), np.zeros((1, 65)), iterations, cv2.GC_INIT_WITH_MASK)
     return (labels & 1) == 1
 
 
 def _cut_again(
-    image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_], seed: int
+    image: NDArray[np.uint8], sure: NDArray[np.bool_], region: NDArray[np.bool_], iterations: int, seed: int
 ) -> NDArray[np.bool_]:
     """Repeats the cut inside the consistent region, with a margin of 2 % of the image."""
     import cv2
@@ -98,7 +101,7 @@ def _cut_again(
     inner, outer = cv2.erode(solid, kernel) > 0, cv2.dilate(solid, kernel) > 0
     # only the reconstructed points are certain: a hull also fills concavities. Its rim is initialised as background, or
     # the object's colour model would learn the background's colours
-    return _largest_component(cut_by_colour(image, sure & inner, inner, outer, seed))
+    return _largest_component(cut_by_colour(image, sure & inner, inner, outer, iterations, seed))
 
 
 def refine_edge(color_linear: NDArray[np.float32], mask: NDArray[np.bool_], factor: int) -> NDArray[np.float32]:

@@ -55,22 +55,24 @@ def draw_discs(points: Array, camera: Camera, radius: float) -> NDArray[np.bool_
 
     picture = np.zeros((camera.height, camera.width), np.uint8)
     pixels, depth = camera.project(points)
-    limit = max(camera.width, camera.height)
-    for (x, y), z in zip(pixels, depth, strict=True):
-        if z > 0 and abs(x) < 2 * limit and abs(y) < 2 * limit:
-            cv2.circle(picture, (round(x), round(y)), max(1, round(radius * camera.focal_length / z)), 255, -1)
+    near = (depth > 0) & (np.abs(pixels) < 2 * max(camera.width, camera.height)).all(axis=1)
+    radii = np.maximum(1, np.rint(radius * camera.focal_length / depth[near])).astype(int)
+    discs = np.column_stack([np.rint(pixels[near]).astype(int), radii])
+    for x, y, size in np.unique(discs, axis=0).tolist():
+        cv2.circle(picture, (x, y), size, 255, -1)
     return picture > 0
 
 
-def consistent_silhouettes(
+def consistent_points(
     masks: Sequence[NDArray[np.bool_]], cameras: Sequence[Camera], center: Array, radius: float, agreement: float
-) -> list[NDArray[np.bool_]]:
-    """Each view's silhouette (H, W) of the grid points that are object in a share `agreement` of the masks.
+) -> tuple[Array, float]:
+    """Grid points (N, 3) that are object in a share `agreement` of the masks, and the radius of discs that join them.
 
-    A point must be mask_count at least half of the largest number of images of any point. Only the largest connected
-    component is used.
+    A point must be inside at least half of the largest number of images of any point. Only the largest connected
+    component is used, and of that the points at its surface: the others are behind them in every view. No point where
+    the masks do not agree.
     """
-    from scipy.ndimage import label
+    from scipy.ndimage import binary_erosion, label
 
     axis = np.linspace(-radius, radius, _GRID_RESOLUTION)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) + center
@@ -82,11 +84,11 @@ def consistent_silhouettes(
         view_count += seen
         mask_count[seen] += mask[rows[seen], columns[seen]]
     solid = (mask_count >= agreement * view_count) & (view_count >= view_count.max() / 2) & (view_count > 0)
-    components, count = label(solid.reshape([_GRID_RESOLUTION] * 3))
-    if count == 0:
-        return [np.zeros_like(mask) for mask in masks]
-    largest = np.bincount(components.reshape(-1))[1:].argmax() + 1
-    largest_points = grid[components.reshape(-1) == largest]
     # half a cell's diagonal, so that the discs of neighbouring cells overlap in the image
     reach = float(axis[1] - axis[0]) * np.sqrt(3) / 2
-    return [draw_discs(largest_points, camera, reach) for camera in cameras]
+    components, count = label(solid.reshape([_GRID_RESOLUTION] * 3))
+    if count == 0:
+        return np.zeros((0, 3)), reach
+    largest = components == np.bincount(components.reshape(-1))[1:].argmax() + 1
+    surface = largest & ~binary_erosion(largest)
+    return grid[surface.reshape(-1)], reach

@@ -37,6 +37,8 @@ class GrabCutOptions:
     """GrabCut runs on photographs reduced to about this longer side; the edge is refined at full resolution."""
     rounds: int = 2
     """Number of times the masks are made consistent by their visual hull and cut again."""
+    iterations: int = 2
+    """Iterations of each cut: the colours of object and background are learnt, then the photograph is cut by them."""
     margin: float = 0.25
     """Largest distance of the object from the reconstructed points in the first cut, relative to their radius."""
     agreement: float = 0.8

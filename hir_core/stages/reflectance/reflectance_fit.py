@@ -23,6 +23,7 @@ from hir_core.errors import CaptureError, ConfigError
 from hir_core.optimization.term_gradients import value_and_gradients, why_without_effect
 from hir_core.optimization.weighted_energies import Energies, prepare_energies, solver_terms
 from hir_core.plugins.interfaces import FitT, PreparedReflectance, RefinementT, ReflectanceRenderer, ReflectanceSolver
+from hir_core.run.machine import return_freed_memory
 from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.scene import Scene
 from hir_core.scene.energy_conservation import with_conserved_energy
@@ -195,6 +196,7 @@ def _fit_by_solver(
     if selection.compared:
         report_share = progress.phase("all views", f"{spec.name}, all views")
         fit = solver.fit(spec, fit, views, 1.0, report_share, fits.checkpoint(spec, views, 1.0))
+    return_freed_memory()  # of the selection, before textures need the most
     solved = solver.scene(fit, views, progress.phase("textures"))
     photographed = capture
     used = PhotographExposures.of(

@@ -167,7 +167,7 @@ def _solved_view(view: View, image: SfmImage, registered_image: pycolmap.Image, 
     mask = view.mask
     if mask is not None and distortion:
         # the mask belongs to the photograph as taken; from here on photographs are undistorted
-        mask = resample(mask, camera_lens(camera, distortion))
+        mask = resample(mask.astype(np.float32), camera_lens(camera, distortion)).astype(mask.dtype)
     # a measured depth is in the unit of other cameras
     return replace(view, camera=camera, distortion=distortion, mask=mask, depth=None)
 

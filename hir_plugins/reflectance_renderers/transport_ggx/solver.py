@@ -355,6 +355,7 @@ class TransportSolver(ReflectanceSolver[Fit, AlbedoRefinement]):
 
     def scene(self, fit: Fit, views: Sequence[int], report: Callable[[float], None]) -> Solved[AlbedoRefinement]:
         """Textures solved from all pixels, light as fitted."""
+        self._first_fits.clear()  # models are no longer compared, and textures need memory
         on_camera = fit.spec.light_frame == "camera"
         fit = replace(fit, parameters=self._initial_values.at_measured_scale(fit))
         parameters = fit.scene_parameters

@@ -12,7 +12,6 @@ import torch
 
 from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
 from hir_core.capture.measured_irradiance import MeasuredIrradiance
-from hir_core.capture.pixel_cache import PixelCache
 from hir_core.errors import InputError, StageError
 from hir_core.run.capture_store import (
     camera_document,
@@ -204,27 +203,6 @@ def test_malformed_camera_is_an_error_that_names_the_file(change: dict[str, obje
     assert document is not None
     with pytest.raises(InputError, match=r"cameras\.json"):
         camera_from_document(document | change, "cameras.json")
-
-
-def test_pixels_are_decoded_once_within_the_bound(tmp_path: Path) -> None:
-    read: list[str] = []
-    capture = a_capture(tmp_path)
-
-    def reading(view: View) -> View:
-        def decode() -> Pixels:
-            read.append(view.name)
-            return view.read()
-
-        return replace(view, read=decode)
-
-    one = 4 * 5 * (3 * 4 + 4 + 1)
-    cache = PixelCache(max_bytes=2 * one)
-    cached = cache.wrap(replace(capture, views=tuple(reading(v) for v in capture.views)))
-    for _ in range(3):
-        for view in cached.views:
-            view.pixels()
-    assert sorted(read) == ["v0", "v1", "v2", "v2", "v2"], "two fit, the third is decoded again"
-    assert cache.bytes == 2 * one
 
 
 def test_working_frame_centres_the_object_and_there_and_back_is_the_identity() -> None:

@@ -20,6 +20,7 @@ from hir_plugins.masks.alpha import Alpha
 from hir_plugins.masks.color_key import ColorKey
 from hir_plugins.masks.folder import Folder
 from hir_plugins.masks.grabcut import GrabCut
+from hir_plugins.masks.object_region import consistent_points, draw_discs
 from hir_plugins.masks.options import ColorKeyOptions, FolderOptions, GrabCutOptions
 from hir_plugins.readers.parsing.decoding.photo_file import PhotoFile
 from hir_plugins.readers.parsing.mask_files import find_mask, match_mask
@@ -174,6 +175,22 @@ def test_stanford_orb_keeps_masks_beside_each_split(tmp_path: Path) -> None:
     Image.new("L", (8, 8), 255).save(tmp_path / "train_mask" / "0001.png")
     Image.new("L", (8, 8), 0).save(tmp_path / "test_mask" / "0001.png")
     assert find_mask(tmp_path / "train" / "0001.png", tmp_path) == tmp_path / "train_mask" / "0001.png"
+
+
+def test_the_surface_of_agreed_points_covers_what_all_of_them_cover() -> None:
+    """Points inside are behind those at the surface: the silhouettes need no disc for them."""
+    cameras = dome(6, 3.0, np.zeros(3), 130.0, 96)
+    masks = [coverage(camera, hits_sphere(np.zeros(3), 0.5), samples=1) > 0.5 for camera in cameras]
+    surface, reach = consistent_points(masks, cameras, np.zeros(3), 1.2, 0.8)
+    radii = np.linalg.norm(surface, axis=1)
+    assert radii.min() > 0.4 and radii.max() < 0.65, "a shell, as thick as few views leave the hull of a ball"
+    inside = np.random.default_rng(0).uniform(-0.3, 0.3, (2000, 3))
+    for camera, mask in zip(cameras, masks, strict=True):
+        drawn = draw_discs(surface, camera, reach)
+        assert not (draw_discs(inside, camera, reach) & ~drawn).any(), "no hole in the middle"
+        assert (mask & ~drawn).sum() < 0.02 * mask.sum() and (drawn & ~mask).sum() < 0.25 * mask.sum()
+    nothing, _ = consistent_points([~mask & False for mask in masks], cameras, np.zeros(3), 1.2, 0.8)
+    assert nothing.shape == (0, 3) and not draw_discs(nothing, cameras[0], reach).any()
 
 
 @pytest.mark.slow

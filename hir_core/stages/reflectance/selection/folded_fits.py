@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar, final
 
 import numpy as np
@@ -36,6 +36,10 @@ class FoldedFit(Generic[FitT]):
     def held_out_db(self) -> float:
         """Mean PSNR over held-out views."""
         return mean_decibels(self.errors)
+
+    def without_fits(self) -> FoldedFit[FitT]:
+        """The errors alone: of a fit that nothing goes on from."""
+        return replace(self, fits=())
 
 
 def gain_of(fit: FoldedFit[FitT], over: FoldedFit[FitT]) -> tuple[float, float]:

@@ -36,6 +36,7 @@ against the pixels, because the errors of the light itself are large there (docs
 
 _REWEIGHTING_ITERATIONS = 3
 _CONJUGATE_GRADIENT_ITERATIONS = 12
+_ROWS_PER_BLOCK = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +121,14 @@ def solve_albedo(
     the solution and the curvature there of the mean error over pixels and channels.
     """
     albedo = start.clone()
-    count, scale = _prior_scale(equations, start)
-    information, prior_weight = torch.zeros_like(count), prior * scale
-    add_differences = differences(smoothness * scale) if differences is not None and smoothness > 0 else None
-    for _ in range(_REWEIGHTING_ITERATIONS):
+    count, prior_weight = _prior_scale(equations, start)
+    add_differences = differences(smoothness * prior_weight) if differences is not None and smoothness > 0 else None
+    prior_weight.mul_(prior)
+    information = torch.zeros_like(count)
+    preconditioner = torch.empty_like(start)
+    for iteration in range(_REWEIGHTING_ITERATIONS):
         robust = [_robust_weight(rows, albedo, huber_srgb) for rows in equations]
-        diagonal, right = torch.zeros_like(start), torch.zeros_like(start)
+        diagonal, right = preconditioner.zero_(), prior_weight * start
         for w, rows in zip(robust, equations, strict=True):
             diagonal += rows.squared_gains(w)
             right += rows.transposed(w, rows.target)
@@ -139,13 +142,14 @@ def solve_albedo(
             for add_product in products:
                 add_product(x, image)
 
-        preconditioner = (diagonal + prior_weight).reciprocal_()
-        albedo = _conjugate_gradients(apply, right.addcmul_(prior_weight, start), albedo, preconditioner)
-        albedo = albedo.clamp_(0, 1)
-        information = (diagonal / prior_weight).mean(dim=1)
+        if iteration + 1 == _REWEIGHTING_ITERATIONS:
+            information = (diagonal / prior_weight).mean(dim=1)
+        diagonal.add_(prior_weight).reciprocal_()
+        _conjugate_gradients(apply, right, albedo, preconditioner)
+        albedo.clamp_(0, 1)
     if refiner is not None:
         channels = sum(rows.gain.numel() for rows in equations)
-        albedo = refiner(albedo, (diagonal + prior_weight) / channels)
+        albedo = refiner(albedo, preconditioner.reciprocal_() / channels)
     return albedo, count, information
 
 
@@ -185,30 +189,36 @@ def _robust_weight(rows: AlbedoEquations, albedo: Tensor, huber_srgb: float) -> 
 
 
 def _conjugate_gradients(
-    apply: Callable[[Tensor, Tensor], None], right: Tensor, start: Tensor, preconditioner: Tensor
-) -> Tensor:
+    apply: Callable[[Tensor, Tensor], None], residual: Tensor, x: Tensor, preconditioner: Tensor
+) -> None:
     """Conjugate gradients with a Jacobi preconditioner; each column is a system of its own.
 
+    `x` is the initial value and becomes the solution; `residual` is the right side and is overwritten.
     `apply(x, image)` writes the product with the matrix to `image`. All steps work in place: of a texture of 4096² each
     array has 200 MB, and its allocation takes longer than the arithmetic.
     """
-    x, image, product = start.clone(), torch.empty_like(start), torch.empty_like(start)
-
-    def dot(a: Tensor, b: Tensor) -> Tensor:
-        return torch.mul(a, b, out=product).sum(0)
-
+    image = torch.empty_like(x)
     apply(x, image)
-    residual = right - image
-    z = preconditioner * residual
-    direction = z.clone()
-    rho = dot(residual, z)
+    residual.sub_(image)
+    direction = preconditioner * residual
+    rho = _column_sums(residual, direction)
     for _ in range(_CONJUGATE_GRADIENT_ITERATIONS):
         apply(direction, image)
-        step = rho / dot(direction, image).clamp_min(1e-30)
+        step = rho / _column_sums(direction, image).clamp_min(1e-30)
         x.addcmul_(direction, step)
         residual.addcmul_(image, step, value=-1)
-        torch.mul(preconditioner, residual, out=z)
-        new = dot(residual, z)
-        direction.mul_(new / rho.clamp_min(1e-30)).add_(z)
+        new = _column_sums(residual, residual, preconditioner)
+        direction.mul_(new / rho.clamp_min(1e-30)).addcmul_(preconditioner, residual)
         rho = new
-    return x
+
+
+def _column_sums(first: Float[Tensor, "N C"], *others: Float[Tensor, "N C"]) -> Float[Tensor, " C"]:
+    """Sums over the rows of the product of all arrays, block by block: no array of N rows is made."""
+    total = first.new_zeros(first.shape[1])
+    for start in range(0, len(first), _ROWS_PER_BLOCK):
+        rows = slice(start, start + _ROWS_PER_BLOCK)
+        product = first[rows] * others[0][rows]
+        for other in others[1:]:
+            product.mul_(other[rows])
+        total += product.sum(dim=0)
+    return total

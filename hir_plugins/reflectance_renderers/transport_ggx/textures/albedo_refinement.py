@@ -91,7 +91,7 @@ class AlbedoRefinement:
             torch.manual_seed(view + (self.seed << 32))
             light = scene.in_take(self.takes[view]).environment if self.takes else scene.environment
             assert light is not None
-            radiance = traced.radiance(scene.material, light, rows.pixel)
+            radiance = traced.radiance(scene.material, light, rows.pixel.long())
             # one non-finite pixel would reach every texel through conjugate gradients; this one asks for no change
             self._cache[view] = torch.where(torch.isfinite(radiance), radiance, rows.color)
         return replace(rows, offset=self._cache[view] - rows.radiance(albedo, metalness))

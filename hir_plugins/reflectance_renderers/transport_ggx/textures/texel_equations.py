@@ -33,6 +33,7 @@ class TexelEquations:
     """
 
     index: Int[Tensor, "P 4"]
+    """int32, as sparse matrices store it."""
     weight: Float[Tensor, "P 4"]
     gain: Float[Tensor, "P 3"]
     color: Float[Tensor, "P 3"]
@@ -43,7 +44,7 @@ class TexelEquations:
     clipped: Bool[Tensor, "P 3"]
     """Where the photograph is clipped: the left side may be larger."""
     pixel: Int[Tensor, "P 3"]
-    """View, x and y."""
+    """View, x and y; int32."""
     metal_gain: Float[Tensor, "P 3"] | None = None
     """Change of radiance with the base colour of a metal; only for `metallic`."""
 
@@ -123,12 +124,13 @@ def _neighbour_differences(weight: Float[Tensor, "H W C"]) -> Callable[[Tensor, 
     pairs = []
     for dim in (0, 1):
         if (last := weight.shape[dim] - 1) > 0:
-            smaller = torch.minimum(weight.narrow(dim, 1, last), weight.narrow(dim, 0, last))
-            pairs.append((dim, last, smaller, torch.empty_like(smaller)))
+            pairs.append((dim, last, torch.minimum(weight.narrow(dim, 1, last), weight.narrow(dim, 0, last))))
+    buffer = weight.new_empty(weight.numel())
 
     def add(x: Tensor, image: Tensor) -> None:
         values, total = x.view(weight.shape), image.view(weight.shape)
-        for dim, last, smaller, step in pairs:
+        for dim, last, smaller in pairs:
+            step = buffer[: smaller.numel()].view(smaller.shape)
             torch.sub(values.narrow(dim, 1, last), values.narrow(dim, 0, last), out=step)
             step.mul_(smaller)
             total.narrow(dim, 1, last).add_(step)

@@ -235,7 +235,7 @@ def texel_equations(
     index, bilinear = texture_texels(part.points.uvs(transport.surface), *size)
     color = part.color if exposure is None else part.color / exposure[part.points.view]
     importance = srgb_slope(color.clamp(SRGB_SLOPE_FLOOR_LINEAR, 1)).square()
-    return TexelEquations(index, bilinear, gain, color, lobe, importance, part.saturated, part.pixel)
+    return TexelEquations(index.int(), bilinear, gain, color, lobe, importance, part.saturated, part.pixel.int())
 
 
 def _vertex_information(

@@ -57,6 +57,10 @@ def test_curves_that_cross_are_fitted_to_their_end() -> None:
     rounds = {(each.spec.kind, each.spec.light_frame): len(each.rounds) for each in selection.contestants}
     assert rounds["dielectric", "world"] == rounds["metal", "world"] == 3
     assert rounds["mixed", "camera"] < 3, "a curve that cannot reach the best one gets no full budget"
+    for each in selection.contestants:
+        *earlier, last = each.rounds
+        assert not any(fit.fits for fit in earlier), "no later fit continues them"
+        assert bool(last.fits) != each.dropped
     report = explanation_report(selection)
     assert report is not None and report.sentence.startswith("dielectric, light in the world; next: metal, ")
     assert report.margin_db == pytest.approx(3, abs=0.2)
