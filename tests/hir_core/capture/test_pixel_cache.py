@@ -32,7 +32,7 @@ def cached(capture: Capture, max_bytes: int = 1 << 20) -> Pixels:
 
 
 @pytest.mark.parametrize("max_bytes", [0, 1 << 20])
-def test_eight_bits_are_told_apart_whether_a_photograph_is_held_or_not(max_bytes: int) -> None:
+def test_steps_of_eight_bits_stay_distinct_whether_a_photograph_is_cached_or_not(max_bytes: int) -> None:
     steps = np.repeat(srgb_to_linear(np.arange(256) / 255)[:, None], 3, axis=1).reshape(16, 16, 3)
     mask = np.arange(256, dtype=np.float32).reshape(16, 16) / 255
     found = cached(photograph(steps, mask), max_bytes)

@@ -18,6 +18,7 @@ from hir_core.scene.bilinear import texture_texels
 from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
+from hir_plugins.reflectance_renderers.transport_ggx.fit import closed_form_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.spiral import spiral_points
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
@@ -228,6 +229,23 @@ def test_texels_are_recovered_from_their_own_photographs() -> None:
     texture, seen = solve_texels([half], torch.full_like(truth, 0.5), huber_srgb=0.05, prior=1e-4)
     assert not bool(seen[:, 11:].any())
     torch.testing.assert_close(texture[:, 11:], torch.full_like(texture[:, 11:], 0.5))
+
+
+def test_conjugate_gradients_solve_each_column_block_by_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against a direct solver in float64; blocks end anywhere."""
+    monkeypatch.setattr(closed_form_albedo, "_ROWS_PER_BLOCK", 7)
+    generator = torch.Generator().manual_seed(0)
+    factor = torch.randn(3, 40, 40, generator=generator, dtype=torch.float64)
+    matrices = factor @ factor.mT / 40 + 2 * torch.eye(40, dtype=torch.float64)
+    right, start = torch.randn(2, 40, 3, generator=generator, dtype=torch.float64)
+
+    def apply(x: Tensor, image: Tensor) -> None:
+        image.copy_(torch.einsum("cij,jc->ic", matrices, x))
+
+    diagonal = matrices.diagonal(dim1=1, dim2=2).T
+    x = start.clone()
+    closed_form_albedo._conjugate_gradients(apply, right.clone(), x, diagonal.reciprocal())
+    torch.testing.assert_close(x, torch.linalg.solve(matrices, right.T[..., None])[..., 0].T, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize(("light", "seen"), [(0.2, True), (0.05, True), (0.002, False)])
