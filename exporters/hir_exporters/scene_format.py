@@ -183,7 +183,9 @@ def _load_lamp(source: Path, environment: dict[str, Any]) -> AssetLamp | None:
         _check_numbers(source, f"environment.lamp.{name}", vector)
     _check_numbers(source, "environment.lamp.exponent", [table.get("exponent")])
     intensity, offset = (np.array(vector, dtype=np.float64) for vector in vectors.values())
-    return AssetLamp(intensity, offset, float(table["exponent"]))
+    radius = table.get("radius", 0.0)  # older scenes have none
+    _check_numbers(source, "environment.lamp.radius", [radius])
+    return AssetLamp(intensity, offset, float(table["exponent"]), float(radius))
 
 
 def _inside(folder: Path, name: object, entry: str) -> Path:

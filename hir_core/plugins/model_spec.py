@@ -43,7 +43,7 @@ class ModelSpec:
     metalness: Literal["none", "metal", "map"] = "none"
     """Of the `metallic` BRDF: `metal` is 1 everywhere, `map` varies over the surface. `none` for every other BRDF."""
     lamp: bool = False
-    """Is there a small lamp near the camera, beside a light that is fixed in the world? See `CameraLamp`."""
+    """Is there a lamp near the camera, beside a light that is fixed in the world? See `CameraLamp`."""
 
     def __post_init__(self) -> None:
         if (self.brdf == "metallic") != (self.metalness != "none"):

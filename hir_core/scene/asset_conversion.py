@@ -57,7 +57,8 @@ def scene_from_asset(asset: Asset, device: torch.device | str = "cpu") -> Scene:
         rotation = torch.from_numpy(light.to_world.astype(np.float32))
         lamp = None
         if light.lamp is not None:
-            values = (light.lamp.intensity, light.lamp.offset, np.float64(light.lamp.exponent))
+            sizes = np.float64(light.lamp.exponent), np.float64(light.lamp.radius)
+            values = (light.lamp.intensity, light.lamp.offset, *sizes)
             lamp = CameraLamp(*(torch.tensor(value, dtype=torch.float32) for value in values))
         environment = EnvironmentMap(torch.from_numpy(light.radiance.copy()), rotation, light.frame, lamp)
     return Scene(
@@ -136,7 +137,7 @@ def _bake_environment(environment: EnvironmentMap) -> AssetEnvironment:
     if environment.lamp is not None:
         found = environment.lamp
         intensity, offset = (_numpy(value).astype(np.float64) for value in (found.intensity, found.offset))
-        lamp = AssetLamp(np.maximum(intensity, 0), offset, float(found.exponent))
+        lamp = AssetLamp(np.maximum(intensity, 0), offset, float(found.exponent), float(found.radius))
     return AssetEnvironment(_clamped(environment.radiance, 0.0, np.inf), rotation, environment.frame, lamp)
 
 

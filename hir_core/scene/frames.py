@@ -44,4 +44,4 @@ def move_scene(scene: Scene, new_from_old: Array) -> Scene:
 
 def scaled_lamp(lamp: CameraLamp, scale: float) -> CameraLamp:
     """The lamp in a world where all lengths are `scale` times as large: the object is as bright as before."""
-    return CameraLamp(lamp.intensity * scale**2, lamp.offset * scale, lamp.exponent)
+    return CameraLamp(lamp.intensity * scale**2, lamp.offset * scale, lamp.exponent, lamp.radius * scale)

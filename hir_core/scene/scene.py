@@ -159,10 +159,11 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class CameraLamp:
-    """A small lamp that each camera carries, such as a flash: its light falls with the square of the distance.
+    """A lamp that each camera carries, such as a flash: its light falls with the square of the distance.
 
-    At a distance r, and at an angle θ from the camera's viewing axis, its irradiance on a surface that faces it is
-    `intensity · cos(θ)^exponent / r²`.
+    At a distance r, and at an angle θ from the camera's viewing axis, the irradiance of a point of it on a surface that
+    faces it is `intensity · cos(θ)^exponent / r²`. With a `radius` it is the mean of such points on a disc that is
+    perpendicular to the viewing axis, such as a softbox: shadows and reflections have soft edges.
     """
 
     intensity: Float[Tensor, " 3"]
@@ -171,6 +172,8 @@ class CameraLamp:
     """Place in the camera's axes (docs/conventions.md: x to the right, y down, z forwards), in the scene's unit."""
     exponent: Float[Tensor, ""]
     """Of the emission lobe; 0 for a lamp that shines equally in all directions."""
+    radius: Float[Tensor, ""] = field(default_factory=lambda: torch.zeros(()))
+    """Of the disc, in the scene's unit; 0 for a point."""
 
 
 @dataclass(frozen=True, eq=False)

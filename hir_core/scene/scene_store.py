@@ -17,7 +17,7 @@ from hir_core.files.stored_take_lights import TAKES, read_take_lights, take_arra
 from hir_core.scene.scene import CameraLamp, EnvironmentMap, Material, Mesh, Scene, Topology
 
 _MATERIAL = ("diffuse_albedo", "specular_albedo", "roughness", "normal", "observed", "metalness")
-_LAMP = ("intensity", "offset", "exponent")
+_LAMP = ("intensity", "offset", "exponent", "radius")
 
 
 def save_stage_scene(scene: Scene, folder: Path) -> None:
@@ -90,7 +90,9 @@ def _scene_of(
         maps = {n: tensors.get(f"material.{n}") for n in _MATERIAL}
         material = Material(model=document["material"], **maps, **f0)  # type: ignore[arg-type]
     if document["environment"] is not None:
-        lamp = CameraLamp(*(tensors[f"lamp.{name}"] for name in _LAMP)) if "lamp.intensity" in tensors else None
+        lamp = None
+        if "lamp.intensity" in tensors:  # runs before lamps had a radius have none
+            lamp = CameraLamp(**{name: tensors[f"lamp.{name}"] for name in _LAMP if f"lamp.{name}" in tensors})
         environment = EnvironmentMap(
             tensors["environment.radiance"], tensors.get("environment.to_world"), document["environment"], lamp
         )

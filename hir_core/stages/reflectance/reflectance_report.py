@@ -202,6 +202,8 @@ class LightAndMaterial:
     """Its place in the camera's axes, in the working frame."""
     lamp_exponent: float | None = None
     """Of its lobe of emission."""
+    lamp_radius: float | None = None
+    """Of its disc, in the working frame."""
 
     @classmethod
     def of(cls, scene: Scene) -> LightAndMaterial:
@@ -218,6 +220,7 @@ class LightAndMaterial:
             None if lamp is None else tuple(round(float(v), 4) for v in lamp.intensity),
             None if lamp is None else tuple(round(float(v), 4) for v in lamp.offset),
             None if lamp is None else round(float(lamp.exponent), 3),
+            None if lamp is None else round(float(lamp.radius), 4),
         )
 
 

@@ -185,3 +185,35 @@ def lamp_is_near_the_camera(subject: Subject) -> None:
     )
     _, right, left = shown(3.0, 1.5, 0.0)
     require(right > 1.2 * left, f"a lamp to the right lights the right side by {right:.4f} and the left by {left:.4f}")
+
+
+@contract("reflectance_renderer", traits={"camera_lamp"}, slow=True)
+def lamp_is_as_large_as_its_radius(subject: Subject) -> None:
+    """A disc of radius R around the camera's centre, across the viewing axis, shows albedo / π · I · 2 (1 − h / √(h² +
+    R²)) / R² in the middle of a matt sphere at the distance h (2 %): less than a point, by the angles of its rim.
+    """
+    import torch
+
+    from hir_core.scene import CameraLamp, EnvironmentMap
+    from hir_core.testing.scenes import constant_material, looking_at, smooth_sphere
+
+    material, intensity, distance = constant_material("paper", 0.5, 0.0, 0.5), 30.0, 2.0
+    dark = torch.full((8, 16, 3), 1e-6)
+    middle = [(0, SIZE // 2 + x, SIZE // 2 + y) for x in (-1, 0) for y in (-1, 0)]
+
+    def shown(radius: float) -> float:
+        lamp = CameraLamp(torch.full((3,), intensity), torch.zeros(3), torch.tensor(0.0), torch.tensor(radius))
+        light, camera = EnvironmentMap(dark, lamp=lamp), looking_at((0, 0, distance + 1), SIZE)
+        prepared = prepared_for(subject, sphere_scene(material, light, smooth_sphere(4)), camera)
+        value, _ = mean_over_seeds(subject, lambda: prepared.radiance(material, light, torch.tensor(middle)).mean())
+        return float(value.detach())
+
+    for radius in (0.5, 2.0):
+        share = 2 * (1 - distance / np.hypot(distance, radius)) / radius**2
+        expected = 0.5 / np.pi * intensity * share
+        found = shown(radius)
+        require(
+            abs(found / expected - 1) < 0.02,
+            f"a lamp with a radius of {radius:g} at a distance of {distance:g} shows {found:.4f}, not {expected:.4f}: "
+            "its irradiance is the mean over a disc across the viewing axis",
+        )

@@ -58,8 +58,9 @@ def incoming(
 ) -> DrJitArray:
     """Color3f: radiance from `first` towards the eye, along `direction`; 0 where `first` is not valid.
 
-    `light_from_world` is a Matrix3f for each lane. A `lamp` adds its light without noise of its own. With `drops_ended`
-    paths that have left the surface take no part in what follows: the same value, without derivative, in less time.
+    `light_from_world` is a Matrix3f for each lane. A `lamp` adds its light; a point of light adds no noise. With
+    `drops_ended` paths that have left the surface take no part in what follows: the same value, without derivative, in
+    less time.
     """
     up: DrJitArray = mi.Vector3f(0, 0, 1)
     total: DrJitArray = dr.zeros(mi.Color3f, dr.width(direction))
@@ -81,7 +82,7 @@ def incoming(
         arriving: DrJitArray = dr.select(lit, value, mi.Color3f(0))
 
         if lamp is not None:
-            arriving += _light_of_lamp(surface, reflectance, frame, lamp, point, eye, throughput, active)
+            arriving += _light_of_lamp(surface, reflectance, frame, lamp, point, eye, throughput, active, points.next())
 
         drawn = dr.detach(sample(reflectance, dr.detach(eye), points.next()))
         density = dr.detach(pdf(reflectance, dr.detach(eye), drawn))
@@ -131,9 +132,10 @@ def _light_of_lamp(
     eye: DrJitArray,
     throughput: DrJitArray,
     active: DrJitArray,
+    sample: DrJitArray,
 ) -> DrJitArray:
-    """Color3f: what the points reflect of the lamp's light; no other direction reaches a point of light."""
-    world, distance, irradiance = lamp.toward(dr.detach(point.position))
+    """Color3f: what the points reflect of the lamp's light. Paths that hit its disc by chance do not count it again."""
+    world, distance, irradiance = lamp.toward(dr.detach(point.position), sample)
     local = dr.select(active, frame.to_local(world), mi.Vector3f(0, 0, 1))
     lit = active & (dr.detach(local.z) > 0)
     lit &= ~surface.occluded(surface.start(point, world), world, lit, distance)

@@ -27,8 +27,8 @@ from hir_core.scene.scene_store import load_stage_scene, save_stage_scene
 from hir_core.stages.atlas import unwrap_mesh
 from tests.fixtures.scenes import icosphere
 
-LAMP = CameraLamp(torch.tensor([4.0, 3.0, 2.0]), torch.tensor([0.1, -0.2, 0.05]), torch.tensor(1.5))
-DESCRIPTION = {"intensity": [4.0, 3.0, 2.0], "offset": [0.1, -0.2, 0.05], "exponent": 1.5}
+LAMP = CameraLamp(torch.tensor([4.0, 3.0, 2.0]), torch.tensor([0.1, -0.2, 0.05]), torch.tensor(1.5), torch.tensor(0.25))
+DESCRIPTION = {"intensity": [4.0, 3.0, 2.0], "offset": [0.1, -0.2, 0.05], "exponent": 1.5, "radius": 0.25}
 
 
 def lamp_scene() -> Scene:
@@ -43,7 +43,7 @@ def lamp_of(scene: Scene) -> CameraLamp:
 
 def assert_lamp(found: Any, factor: float = 1.0) -> None:
     """`factor` of all lengths: the light that reaches the object is the same."""
-    for name, power in (("intensity", 2), ("offset", 1), ("exponent", 0)):
+    for name, power in (("intensity", 2), ("offset", 1), ("exponent", 0), ("radius", 1)):
         expected = factor**power * np.asarray(getattr(LAMP, name))
         np.testing.assert_allclose(np.asarray(getattr(found, name)), expected, rtol=1e-6, err_msg=name)
 
@@ -65,6 +65,21 @@ def test_the_lamp_of_an_asset_comes_back(tmp_path: Path) -> None:
     assert_lamp(loaded.environment.lamp)
     assert_lamp(lamp_of(scene_from_asset(loaded)))
     assert asset_health(asset).has_camera_lamp and "lamp near the camera" in asset_health(asset).sentence()
+
+
+def test_scenes_before_lamps_had_a_radius_have_points_of_light(tmp_path: Path) -> None:
+    save_scene(bake(lamp_scene()), tmp_path / "asset")
+    path = tmp_path / "asset" / "scene.json"
+    document = json.loads(path.read_text())
+    del document["environment"]["lamp"]["radius"]
+    path.write_text(json.dumps(document))
+    loaded = load_scene(tmp_path / "asset").environment
+    assert loaded is not None and loaded.lamp is not None and loaded.lamp.radius == 0
+    save_stage_scene(lamp_scene(), tmp_path / "stage")
+    with np.load(tmp_path / "stage" / "arrays.npz") as stored:
+        arrays = {name: stored[name] for name in stored.files if name != "lamp.radius"}
+    np.savez(tmp_path / "stage" / "arrays.npz", **arrays)
+    assert float(lamp_of(load_stage_scene(tmp_path / "stage")).radius) == 0
 
 
 def test_a_scene_with_a_lamp_follows_the_schema(tmp_path: Path) -> None:
@@ -107,6 +122,7 @@ def changed(asset: Asset, **values: Any) -> Asset:
         ({"offset": np.array([0.0, np.nan, 0.0])}, "lamp.offset"),
         ({"offset": np.zeros(2)}, "lamp.offset has the shape"),
         ({"exponent": -1.0}, "exponent is -1.0"),
+        ({"radius": float("nan")}, "radius is nan"),
     ],
 )
 def test_an_impossible_lamp_is_refused(values: dict[str, Any], named: str) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from hir_core.capture import Camera, Capture, View
@@ -204,6 +205,19 @@ class PreparedWithoutLamp(Prepared):
         return super().radiance(material, replace(environment, lamp=None), pixels)
 
 
+class WithPointLamp(Traced):
+    """Shades every lamp as a point."""
+
+    def prepare(self, scene: Scene, capture: Capture, downsample: int = 1) -> PreparedReflectance:
+        return PreparedWithPointLamp(self, self.inner.prepare(scene, capture, downsample), capture)
+
+
+class PreparedWithPointLamp(Prepared):
+    def radiance(self, material: Material, environment: EnvironmentMap, pixels: Tensor) -> Tensor:
+        lamp = environment.lamp and replace(environment.lamp, radius=torch.zeros(()))
+        return super().radiance(material, replace(environment, lamp=lamp), pixels)
+
+
 def with_lamp(implementation: type) -> Component:
     sound = reflectance(implementation)
     return replace(sound, name="lit_by_lamp", traits=sound.traits | {"camera_lamp"})
@@ -291,4 +305,5 @@ BROKEN_REFLECTANCE: dict[str, Component] = {
     "exposures_are_fitted": solving(EquallyExposed),
     "each_take_has_its_light": of_takes(OneLight),
     "lamp_is_near_the_camera": with_lamp(WithoutLamp),
+    "lamp_is_as_large_as_its_radius": with_lamp(WithPointLamp),
 }

@@ -20,8 +20,9 @@ principled BRDF and of Unreal Engine (index of refraction 1.8; plastic has 0.04,
 dielectric with a larger F0, a dark albedo and a bright light looks like a metal of one colour."""
 MAX_LOG_EXPOSURE = 2.0
 """Exposures are limited to a factor of e² from their geometric mean; a larger one means another scene."""
-LAMP_OFFSET_UNIT, LAMP_EXPONENT_UNIT = 0.1, 4.0
-"""Change of the lamp's place, in its unit of length, and of its exponent, with a change of the parameter by about 1."""
+LAMP_OFFSET_UNIT, LAMP_EXPONENT_UNIT, LAMP_RADIUS_UNIT = 0.1, 4.0, 0.1
+"""Change of the lamp's place and radius, in its unit of length, and of its exponent, with a change of the parameter by
+about 1."""
 MAX_LAMP_OFFSET = 0.6
 """Of the lamp's place along each axis of the camera, in units of the mean distance between cameras and object: a lamp
 farther away is no flash."""
@@ -58,8 +59,9 @@ class Parameters:
     exposure_take: Int[Tensor, " views"] | None = None
     """Index of each view's take, where exposures are fitted beside a light for each take; None elsewhere."""
 
-    lamp: Float[Tensor, " 7"] | None = None
-    """Of a lamp near the camera: logarithm of its intensity (3), its place (3) and its emission lobe; None for none.
+    lamp: Float[Tensor, " 8"] | None = None
+    """Of a lamp near the camera: logarithm of its intensity (3), its place (3), its emission lobe and its radius; None
+    for none.
     Lengths are in units of the mean distance between cameras and object (`operator/camera_lamp.py`)."""
 
     @property
@@ -93,7 +95,8 @@ class Parameters:
             return None
         intensity = self.lamp[:3].clamp_max(math.log(MAX_RADIANCE)).exp()
         place = MAX_LAMP_OFFSET * torch.tanh(self.lamp[3:6] * (LAMP_OFFSET_UNIT / MAX_LAMP_OFFSET))
-        return CameraLamp(intensity, place, LAMP_EXPONENT_UNIT * torch.nn.functional.softplus(self.lamp[6]))
+        exponent, radius = torch.nn.functional.softplus(self.lamp[6:8])
+        return CameraLamp(intensity, place, LAMP_EXPONENT_UNIT * exponent, LAMP_RADIUS_UNIT * radius)
 
     @property
     def base_color(self) -> Float[Tensor, "V 3"]:

@@ -95,7 +95,7 @@ def shade_points(
         before_lamp = LampPoints.of(
             points, LampCameras.of(cameras, points.position.device), transport.tracer, transport.offset
         )
-        before_lamp.update_shadows(environment.lamp.offset)
+        before_lamp.update_shadows(environment.lamp)
         arriving = arriving + lamp_irradiance(before_lamp, environment.lamp)
         received = with_lamp(received, before_lamp, environment.lamp, alpha)
     gain, lobe = gain_and_lobe(material.model, specular, alpha, arriving, lobes, received)

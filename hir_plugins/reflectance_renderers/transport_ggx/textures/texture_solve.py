@@ -204,7 +204,7 @@ def _equations(
     lamp, before_lamp = parameters.camera_lamp, None
     if lamp is not None:
         before_lamp = LampPoints.of(points, cameras, transport.tracer, transport.offset)
-        before_lamp.update_shadows(lamp.offset)
+        before_lamp.update_shadows(lamp)
         arriving = arriving + lamp_irradiance(before_lamp, lamp)
     if spec.brdf == "diffuse":
         gain, specular = arriving / torch.pi, torch.zeros_like(arriving)

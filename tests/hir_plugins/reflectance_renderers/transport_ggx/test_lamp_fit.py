@@ -102,3 +102,20 @@ def test_a_lamp_is_found_and_selected(tmp_path: Path) -> None:
         colors.append(reflected / reflected.mean())
     np.testing.assert_allclose(colors[0], colors[1], atol=0.06)
     assert unseen_db(found, scene) > 40 and unseen_db(found, scene, (4.4, 2.3, 4.9)) > 36
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [0.0, 0.8])
+def test_the_size_of_a_lamp_is_found(radius: float) -> None:
+    """From the highlights of a glossy ball, which a disc makes as wide as it is."""
+    scene = truth()
+    assert scene.environment is not None
+    lamp = replace(LAMP, radius=torch.tensor(radius))
+    photographed = capture(replace(scene, environment=replace(scene.environment, lamp=lamp)), 16)
+    start = replace(scene, environment=EnvironmentMap(torch.full((16, 32, 3), 0.5)))
+    solver = TransportGGX(TransportGGXOptions(vertices=0, cache_cells=400)).prepare(start, photographed)
+    fit = solver.fit(GLOSSY, None, range(16), 1.0, lambda share: None)
+    found = solver.scene(fit, range(16), lambda share: None).scene
+    assert found.environment is not None and found.environment.lamp is not None
+    size = float(found.environment.lamp.radius)
+    assert size < 0.25 if radius == 0 else 0.4 < size < 1.2, "one fit of 200 steps does not go all the way"

@@ -201,7 +201,7 @@ def refresh_matrices(
     lamp = parameters.camera_lamp
     for batch, matrices in zip(batches, specular, strict=True):
         if lamp is not None and batch.lamp is not None:
-            batch.lamp.update_shadows(lamp.offset)
+            batch.lamp.update_shadows(lamp)
         if matrices is not None:
             with torch.no_grad():
                 alpha, rho_s = at_pixels(batch, parameters.alpha), at_pixels(batch, parameters.specular_albedo)
