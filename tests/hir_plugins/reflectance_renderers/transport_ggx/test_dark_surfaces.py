@@ -30,7 +30,7 @@ FITTED = range(8)
 
 def parameters(lobe: bool) -> Parameters:
     one = torch.zeros(1, 1) if lobe else None
-    lamp = torch.arange(7.0)
+    lamp = torch.arange(8.0)
     return Parameters(torch.zeros(2, 4, 3), torch.logit(torch.full((5, 3), 0.4)), one, one, lamp=lamp)
 
 
@@ -42,7 +42,7 @@ def test_a_diffuse_surface_looks_the_same_under_a_brighter_light() -> None:
     found, lamp = after.camera_lamp, before.camera_lamp
     assert found is not None and lamp is not None
     torch.testing.assert_close(found.intensity, lamp.intensity * gain)
-    assert torch.equal(found.offset, lamp.offset) and torch.equal(found.exponent, lamp.exponent)
+    assert all(torch.equal(getattr(found, name), getattr(lamp, name)) for name in ("offset", "exponent", "radius"))
 
 
 @pytest.mark.parametrize(
