@@ -18,6 +18,7 @@ SAMPLES = 16
 """Paths per pixel of each picture of a round, for `reference_renderer`'s `max_samples`."""
 
 MAX_ROUNDS = 4
+"""At most 64 paths per pixel of each picture."""
 
 LOW_NOISE_DB = 42.0
 """Of the mean of both pictures over the object's pixels, in sRGB: two of 255 steps."""

@@ -24,8 +24,8 @@ LAMP_OFFSET_UNIT, LAMP_EXPONENT_UNIT, LAMP_RADIUS_UNIT = 0.1, 4.0, 0.1
 """Change of the lamp's place and radius, in its unit of length, and of its exponent, with a change of the parameter by
 about 1."""
 MAX_LAMP_OFFSET = 0.6
-"""Of the lamp's place along each axis of the camera, in units of the mean distance between cameras and object: a lamp
-farther away is no flash."""
+"""Of the lamp's place along each axis of the camera, and of its radius, in units of the mean distance between cameras
+and object: a lamp that is farther away or larger is no flash."""
 MAX_RADIANCE = 1e5
 """Upper limit of the light: it admits a sun of 1e4 and prevents overflow."""
 
@@ -96,7 +96,8 @@ class Parameters:
         intensity = self.lamp[:3].clamp_max(math.log(MAX_RADIANCE)).exp()
         place = MAX_LAMP_OFFSET * torch.tanh(self.lamp[3:6] * (LAMP_OFFSET_UNIT / MAX_LAMP_OFFSET))
         exponent, radius = torch.nn.functional.softplus(self.lamp[6:8])
-        return CameraLamp(intensity, place, LAMP_EXPONENT_UNIT * exponent, LAMP_RADIUS_UNIT * radius)
+        radius = (LAMP_RADIUS_UNIT * radius).clamp_max(MAX_LAMP_OFFSET)
+        return CameraLamp(intensity, place, LAMP_EXPONENT_UNIT * exponent, radius)
 
     @property
     def base_color(self) -> Float[Tensor, "V 3"]:
