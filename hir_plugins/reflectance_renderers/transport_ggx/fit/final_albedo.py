@@ -25,6 +25,7 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_bat
     at_pixels,
     diffuse_and_specular,
     predict,
+    rays_of_lamp,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
@@ -69,7 +70,7 @@ def _equations(
         return AlbedoEquations(batch.vertices, gain, target, importance, batch.saturated)
     # first order around the fitted base colour: where m is neither 0 nor 1 it acts twice, in ρd and in the energy that
     # the lobe takes from ρd
-    sources, arriving = arriving_light(transport, batch, parameters, bounces)
+    sources, arriving = arriving_light(transport, batch, parameters, bounces, rays_of_lamp(batch, parameters))
     base = parameters.base_color
     diffuse = at_pixels(batch, parameters.diffuse_albedo)
     slope = albedo_gain(batch, specular, parameters, sources) - specular.share_change() * arriving * diffuse

@@ -10,13 +10,14 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from hir_core.capture import Camera
-from hir_core.scene import CameraLamp, EnvironmentMap, Material, Texture
+from hir_core.scene import EnvironmentMap, Material, Texture
 from hir_core.scene.bilinear import texture_texels
 from hir_plugins.reflectance_renderers.brdf_torch import Model, directional_albedo_terms
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
     LampCameras,
     LampPoints,
+    LampRays,
     lamp_irradiance,
     lamp_lobe,
 )
@@ -96,8 +97,9 @@ def shade_points(
             points, LampCameras.of(cameras, points.position.device), transport.tracer, transport.offset
         )
         before_lamp.update_shadows(environment.lamp)
-        arriving = arriving + lamp_irradiance(before_lamp, environment.lamp)
-        received = with_lamp(received, before_lamp, environment.lamp, alpha)
+        rays = before_lamp.rays(environment.lamp)
+        arriving = arriving + lamp_irradiance(rays)
+        received = with_lamp(received, rays, alpha)
     gain, lobe = gain_and_lobe(material.model, specular, alpha, arriving, lobes, received)
     return diffuse * gain + lobe
 
@@ -132,12 +134,11 @@ def lobe_radiance(
 
 def with_lamp(
     received: tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]],
-    before_lamp: LampPoints,
-    lamp: CameraLamp,
+    rays: LampRays,
     alpha: Float[Tensor, "#P 1"],
 ) -> tuple[Float[Tensor, "P 3"], Float[Tensor, "P 3"]]:
     """`received`, as `lobe_radiance` returns it, and the same of a lamp near the camera."""
-    white, grazing = lamp_lobe(before_lamp, lamp, alpha)
+    white, grazing = lamp_lobe(rays, alpha)
     return received[0] + white, received[1] + grazing
 
 

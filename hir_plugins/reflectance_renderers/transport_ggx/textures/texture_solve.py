@@ -201,11 +201,12 @@ def _equations(
         arriving = irradiance_at(transport, points, part.points.normal, irradiance, vectors)
     else:
         arriving = pixel_irradiance(transport, points, options.diffuse_samples, rotation, options.seed).matrix @ sources
-    lamp, before_lamp = parameters.camera_lamp, None
+    lamp, rays = parameters.camera_lamp, None
     if lamp is not None:
         before_lamp = LampPoints.of(points, cameras, transport.tracer, transport.offset)
         before_lamp.update_shadows(lamp)
-        arriving = arriving + lamp_irradiance(before_lamp, lamp)
+        rays = before_lamp.rays(lamp)
+        arriving = arriving + lamp_irradiance(rays)
     if spec.brdf == "diffuse":
         gain, specular = arriving / torch.pi, torch.zeros_like(arriving)
     else:
@@ -213,8 +214,8 @@ def _equations(
         metal = reflecting_metal(transport, parameters, spec)
         lobes = transport.lobes(points, alpha, options.texture_samples, rotation, options.seed, metal)
         received = lobe_radiance(lobes, alpha, sources)
-        if lamp is not None and before_lamp is not None:
-            received = with_lamp(received, before_lamp, lamp, alpha)
+        if rays is not None:
+            received = with_lamp(received, rays, alpha)
         gain, specular = gain_and_lobe(spec.brdf, rho_s, alpha, arriving, lobes, received)
     rows = texel_equations(transport, part, gain, specular, parameters.exposure, (start.shape[0], start.shape[1]))
     if metalness is None:

@@ -28,7 +28,7 @@ from tests.fixtures.scenes import icosphere, looking_at
 
 LAMP = CameraLamp(torch.tensor([30.0, 20.0, 10.0]), torch.tensor([0.4, -0.6, 0.1]), torch.tensor(3.0))
 EYE = (0.6, 1.0, 3.5)
-ARRAYS = ("toward_camera", "axes", "normal", "to_eye", "origin")
+ARRAYS = ("toward_camera", "normal", "to_eye", "axes", "origin")
 """Of `LampPoints`, a row for each point."""
 
 
@@ -45,31 +45,32 @@ def points(count: int = 40) -> LampPoints:
     to_eye = toward / np.linalg.norm(toward, axis=1, keepdims=True)
     normal = to_eye + rng.uniform(-0.5, 0.5, (count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    axes = np.repeat(camera.world_to_camera[None, :3, :3], count, axis=0)
-    arrays = [torch.from_numpy(a.astype(np.float64)) for a in (toward, axes, normal, to_eye, position)]
+    rotation = camera.world_to_camera[:3, :3].astype(np.float64)
+    axes = np.repeat(rotation[None], count, axis=0)
+    in_camera = [vector @ rotation.T for vector in (toward, normal, to_eye)]
+    arrays = [torch.from_numpy(a.astype(np.float64)) for a in (*in_camera, axes, position)]
     disc = turned_disc(count, arrays[0])
     return LampPoints(*arrays, None, disc, torch.ones(disc.shape[:2], dtype=torch.bool))  # type: ignore[arg-type]
 
 
 def shaded(at: LampPoints, lamp: CameraLamp, alpha: Tensor, diffuse: float, specular: float, model: str) -> Tensor:
     """Radiance by the parts that a fit uses, without the energy that the lobe takes from the diffuse part."""
-    white, grazing = lamp_lobe(at, lamp, alpha)
+    rays = at.rays(lamp)
+    white, grazing = lamp_lobe(rays, alpha)
     lobe = specular * white if model == "paper" else specular * (white - grazing) + grazing
-    return diffuse * lamp_irradiance(at, lamp) / torch.pi + lobe
+    return diffuse * lamp_irradiance(rays) / torch.pi + lobe
 
 
 @pytest.mark.parametrize(("model", "formula"), [("paper", paper_brdf), ("dielectric", dielectric_brdf)])
 @pytest.mark.parametrize("alpha", [0.05, 0.4])
 def test_radiance_is_the_formula_of_a_point_of_light(model: str, formula: Any, alpha: float) -> None:
-    """In numpy, from positions: intensity · cos(θ)^k / r² · f · (n·wi)."""
-    at, camera = points(), looking_at(EYE, 64, 64)
-    rotation = camera.world_to_camera[:3, :3].astype(np.float64)
-    place = camera.center + rotation.T @ LAMP.offset.double().numpy()
-    position, normal, wo = (v.numpy() for v in (at.origin, at.normal, at.to_eye))
-    toward = place - position
+    """In numpy, in the axes of the camera: intensity · cos(θ)^k / r² · f · (n·wi)."""
+    at = points()
+    normal, wo = at.normal.numpy(), at.to_eye.numpy()
+    toward = at.toward_camera.numpy() + LAMP.offset.double().numpy()
     distance = np.linalg.norm(toward, axis=1, keepdims=True)
     wi = toward / distance
-    irradiance = LAMP.intensity.double().numpy() * (-wi @ rotation[2])[:, None] ** 3 / distance**2
+    irradiance = LAMP.intensity.double().numpy() * (-wi[:, 2:]) ** 3 / distance**2
     tangent = np.cross(normal, [0.3, 0.5, 0.8])
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
@@ -86,8 +87,9 @@ def test_radiance_is_the_formula_of_a_point_of_light(model: str, formula: Any, a
 def test_derivatives_are_those_of_finite_differences(model: str) -> None:
     """In float64: lamp, width of the lobe and normals; also for a lamp at the camera's centre, a point and a disc."""
     at = points(8)
+    normals = (at.axes.mT @ at.normal[..., None])[..., 0]
     for offset, radius in ((LAMP.offset, 0.5), (LAMP.offset, 0.0), (torch.zeros(3), 0.5)):
-        leaves = (LAMP.intensity, offset, LAMP.exponent, torch.tensor(radius), torch.full((8, 1), 0.2), at.normal)
+        leaves = (LAMP.intensity, offset, LAMP.exponent, torch.tensor(radius), torch.full((8, 1), 0.2), normals)
         inputs = [leaf.double().clone().requires_grad_() for leaf in leaves]
 
         def radiance(*values: Tensor) -> Tensor:
@@ -113,7 +115,7 @@ def test_a_disc_is_the_mean_of_points_of_light() -> None:
     reach, angle = large * np.sqrt(rng.uniform(size=count)), 2 * np.pi * rng.uniform(size=count)
     shift = torch.from_numpy(np.stack([reach * np.cos(angle), reach * np.sin(angle), 0 * reach], axis=1))
     moved = repeated(count)
-    moved = replace(moved, toward_camera=moved.toward_camera + (shift[:, None] @ moved.axes)[:, 0])
+    moved = replace(moved, toward_camera=moved.toward_camera + shift)
     point = double(LAMP)
     torch.testing.assert_close(
         found, shaded(moved, point, alpha, 0.5, 0.3, "dielectric").mean(dim=0), rtol=5e-3, atol=0

@@ -14,7 +14,12 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import ObservedPixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
-from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import LampPoints, lamp_irradiance, lamp_lobe
+from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import (
+    LampPoints,
+    LampRays,
+    lamp_irradiance,
+    lamp_lobe,
+)
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.metal_reflections import MetalSurface
@@ -86,27 +91,28 @@ def diffuse_and_specular(
 
     A metal has no diffuse albedo, so its gain is 0 and the irradiance of its pixels is not computed.
     """
+    rays = rays_of_lamp(batch, parameters)
     if specular is None or parameters.specular is None:
-        return arriving_light(transport, batch, parameters, bounces)[1], None
+        return arriving_light(transport, batch, parameters, bounces, rays)[1], None
     if parameters.is_metal:
         sources = light_sources(transport, batch, parameters, bounces)[0]
         gain = sources.new_zeros(len(batch.color_srgb), 3)
     else:
-        sources, gain = arriving_light(transport, batch, parameters, bounces)
+        sources, gain = arriving_light(transport, batch, parameters, bounces, rays)
     rho_s = at_pixels(batch, parameters.specular_albedo)
     alpha = at_pixels(batch, parameters.alpha)
     normal = normals_in_lobe_frame(batch, parameters.normal_offset)
     lobe = specular.radiance(sources, rho_s, alpha, normal)
-    if (lamp := parameters.camera_lamp) is not None:
-        white, grazing = lamp_lobe(points_before_lamp(batch, parameters), lamp, alpha)
+    if rays is not None:
+        white, grazing = lamp_lobe(rays, alpha)
         lobe = lobe + (rho_s * white if specular.model == "paper" else rho_s * (white - grazing) + grazing)
     return gain * specular.diffuse_share(rho_s), lobe
 
 
 def arriving_light(
-    transport: Transport, batch: PixelBatch, parameters: Parameters, bounces: int
+    transport: Transport, batch: PixelBatch, parameters: Parameters, bounces: int, rays: LampRays | None
 ) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "P 3"]]:
-    """Radiance of all that a ray can hit, and irradiance / π at the pixels."""
+    """Radiance of all that a ray can hit, and irradiance / π at the pixels; `rays` as `rays_of_lamp` returns them."""
     sources, irradiance = light_sources(transport, batch, parameters, bounces)
     if batch.direct is not None:
         arriving = batch.direct @ sources
@@ -117,17 +123,21 @@ def arriving_light(
             shading_normal = normals_of_batch(batch, parameters.normal_offset)
             vectors = batch.cache_cells @ transport.vector_irradiance(parameters.radiance).reshape(-1, 9)
             arriving = shading_normal_irradiance(batch.normal, shading_normal, arriving, vectors.reshape(-1, 3, 3))
-    if (lamp := parameters.camera_lamp) is not None:
-        arriving = arriving + lamp_irradiance(points_before_lamp(batch, parameters), lamp)
+    if rays is not None:
+        arriving = arriving + lamp_irradiance(rays)
     return sources, arriving / torch.pi
 
 
-def points_before_lamp(batch: PixelBatch, parameters: Parameters) -> LampPoints:
-    """The points of a batch before the lamp, with their shading normals."""
+def rays_of_lamp(batch: PixelBatch, parameters: Parameters) -> LampRays | None:
+    """From the points of a batch, with their shading normals, to the lamp; None without a lamp."""
+    lamp = parameters.camera_lamp
+    if lamp is None:
+        return None
     assert batch.lamp is not None, "the batches of a model with a lamp have points before it"
-    if parameters.normal_offset is None:
-        return batch.lamp
-    return batch.lamp.with_normals(normals_of_batch(batch, parameters.normal_offset))
+    points = batch.lamp
+    if parameters.normal_offset is not None:
+        points = points.with_normals(normals_of_batch(batch, parameters.normal_offset))
+    return points.rays(lamp)
 
 
 def albedo_gain(
@@ -135,8 +145,8 @@ def albedo_gain(
 ) -> Float[Tensor, "P 3"]:
     """Change of the specular radiance with ρs, for the α and the normals of the last refresh."""
     gain = specular.albedo_gain(sources)
-    if (lamp := parameters.camera_lamp) is not None:
-        white, grazing = lamp_lobe(points_before_lamp(batch, parameters), lamp, at_pixels(batch, parameters.alpha))
+    if (rays := rays_of_lamp(batch, parameters)) is not None:
+        white, grazing = lamp_lobe(rays, at_pixels(batch, parameters.alpha))
         gain = gain + (white if specular.model == "paper" else white - grazing)
     return gain
 

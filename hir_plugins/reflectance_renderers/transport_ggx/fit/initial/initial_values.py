@@ -203,4 +203,4 @@ class InitialValues:
         shown = Parameters(light, light, None, None, lamp=lamp).camera_lamp
         assert shown is not None
         points = LampPoints.of(photographs.points, self._cameras, self._transport.tracer, self._transport.offset)
-        return arriving + lamp_irradiance(points, shown)
+        return arriving + lamp_irradiance(points.rays(shown))
