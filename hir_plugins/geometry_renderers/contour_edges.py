@@ -24,20 +24,26 @@ TIE_PIXELS = 1e-4
 """Spans begin this much earlier and end later in the order along a line: gaps of float32 width, at T-junctions and
 between duplicated vertices, stay closed."""
 
+FACES_AT_ONCE = 8192
+"""On a CPU, for the side of each face that each camera sees: float64 values of so few stay in its cache."""
+
 NEAR_DEPTH = 1e-6
 """Triangles are cut at this depth, as a fraction of the largest depth in the view."""
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeTable:
-    """For each edge (lower vertex first) up to two faces, and the direction, +1 or −1, of each face along it."""
+    """For each edge, lower vertex first, the face that runs along it and the face that runs against it."""
 
+    corners: Int[Tensor, "3 F"]
+    """Vertices of the faces."""
     ends: Int[Tensor, "E 2"]
-    faces: tuple[Int[Tensor, " E"], Int[Tensor, " E"]]
-    """First and second face; index F where there is no second."""
-    directions: Int[Tensor, "E 2"]
+    along: Int[Tensor, " E"]
+    """Index F where there is none; so below."""
+    against: Int[Tensor, " E"]
     extra: tuple[Int[Tensor, " M"], Int[Tensor, " M"], Int[Tensor, " M"]]
-    """Edge, face and direction of the third and further faces of non-manifold edges."""
+    """Edge, face and direction, +1 or −1, of further faces of non-manifold edges and of faces that are not oriented
+    alike."""
 
     @classmethod
     def of(cls, topology: Topology) -> EdgeTable:
@@ -45,24 +51,18 @@ class EdgeTable:
         faces = topology.faces
         corners = torch.cat([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
         corners = corners[corners[:, 0] != corners[:, 1]]
-        direction = torch.where(corners[:, 0] < corners[:, 1], 1, -1).to(torch.int8)
+        against = (corners[:, 0] > corners[:, 1]).long()
         edge, face = topology.edge_faces
-        order = torch.argsort(edge, stable=True)
-        edge, face, direction = edge[order], face[order], direction[order]
-        first = torch.searchsorted(edge, torch.arange(len(topology.edges), device=edge.device))
-        rank = torch.arange(len(edge), device=edge.device) - first[edge]
-        pair = torch.full((len(topology.edges), 2), len(faces), dtype=torch.int64, device=edge.device)
-        directions = torch.zeros_like(pair, dtype=torch.int8)
-        for slot in (0, 1):
-            here = rank == slot
-            pair[edge[here], slot], directions[edge[here], slot] = face[here], direction[here]
-        extra = rank > 1
-        return cls(
-            topology.edges,
-            (pair[:, 0].contiguous(), pair[:, 1].contiguous()),
-            directions,
-            (edge[extra], face[extra], direction[extra]),
-        )
+        place = 2 * edge + against
+        order = torch.argsort(place, stable=True)
+        place, face = place[order], face[order]
+        table = torch.full((2 * len(topology.edges),), len(faces), dtype=torch.int64, device=faces.device)
+        first = torch.ones_like(place, dtype=torch.bool)
+        first[1:] = place[1:] != place[:-1]
+        table[place[first]] = face[first]
+        further = place[~first]
+        extra = further // 2, face[~first], (1 - 2 * (further % 2)).to(torch.int8)
+        return cls(faces.T.contiguous(), topology.edges, table[0::2].contiguous(), table[1::2].contiguous(), extra)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ class CameraBatch:
         """
         if bool((self.distortion != 0).any()):
             return self._project_distorted(points, view)
-        rows = self.projection[view]
+        rows = self.projection.reshape(-1, 12).index_select(0, view).reshape(-1, 3, 4)
         x, y, w = (_dot(rows[:, i], points) for i in range(3))
         return torch.stack([x / w, y / w], dim=1)
 
@@ -123,7 +123,7 @@ class CameraBatch:
 
     def all_see_front(self, positions: Float[Tensor, "V 3"]) -> bool:
         """Whether the bounding box of the points lies in front of every camera, well beyond the near plane."""
-        low, high = positions.amin(0), positions.amax(0)
+        low, high = positions.T.contiguous().aminmax(dim=1)
         box = torch.cartesian_prod(*torch.stack([low, high], dim=1))
         depth = self.depths(box)
         return bool((depth.amin(0) > 2 * NEAR_DEPTH * depth.amax(0)).all())
@@ -176,11 +176,7 @@ def find_segments(
     Which side of a triangle is seen follows from its plane and the camera's centre: one matrix product for all views.
     It can be wrong by rounding only for a sliver thinner than the rounding error, and the count stays an integer.
     """
-    a, b, c = positions.index_select(0, faces.reshape(-1)).reshape(-1, 3, 3).unbind(1)
-    normals = torch.linalg.cross(b - a, c - a)
-    side = normals @ cameras.centers.T - (normals * a).sum(1, keepdim=True)
-    sign = torch.zeros((len(faces) + 1, len(cameras.centers)), dtype=torch.int8, device=positions.device)
-    sign[:-1] = side.sign().to(torch.int8) * cameras.handedness
+    sign = _seen_sides(positions, table.corners, cameras)
     cuts = None
     if len(positions) and not cameras.all_see_front(positions):
         depth = cameras.depths(positions)
@@ -191,20 +187,43 @@ def find_segments(
         cuts = _cut_triangles(faces, depth, near, straddling, sign, len(positions))
         sign[:-1] *= corners_behind == 0
     # index_select is several times faster than indexing for rows of a few bytes
-    winding = sign.index_select(0, table.faces[0]) * table.directions[:, :1]
-    winding += sign.index_select(0, table.faces[1]) * table.directions[:, 1:]
+    winding = sign.index_select(0, table.along).sub_(sign.index_select(0, table.against))
     edge, face, direction = table.extra
     if len(edge):
         winding.index_add_(0, edge, sign[face] * direction[:, None])
-    edges, view = winding.nonzero(as_tuple=True)
+    found = winding.reshape(-1).nonzero()[:, 0]
+    edges = found // max(1, winding.shape[1])
     segments = Segments(
-        view,
-        table.ends[edges],
-        winding[edges, view].to(torch.int64),
+        found - edges * winding.shape[1],
+        table.ends.index_select(0, edges),
+        winding.reshape(-1).index_select(0, found).to(torch.int64),
         table.ends.new_zeros((0, 2)),
         positions.new_zeros(0),
     )
     return segments if cuts is None else _joined(segments, cuts)
+
+
+def _seen_sides(
+    positions: Float[Tensor, "V 3"], corners: Int[Tensor, "3 F"], cameras: CameraBatch
+) -> Int[Tensor, "F+1 B"]:
+    """1 where a camera sees the front of a face, −1 where it sees the back, 0 for a face without area or in profile;
+    a row of zeros follows. int8.
+    """
+    # each component is an array of its own: arithmetic on these takes a third of the time of (F, 3) arrays
+    a, b, c = ([axis.index_select(0, corner) for axis in positions.T.contiguous()] for corner in corners)
+    u, v = ([q - p for p, q in zip(a, ends, strict=True)] for ends in (b, c))
+    pairs = (1, 2), (2, 0), (0, 1)
+    normals = torch.stack([torch.addcmul(u[i] * v[j], u[j], v[i], value=-1) for i, j in pairs])
+    level = torch.addcmul(torch.addcmul(normals[0] * a[0], normals[1], a[1]), normals[2], a[2])
+    count, views = corners.shape[1], len(cameras.centers)
+    sign = torch.zeros((count + 1, views), dtype=torch.int8, device=positions.device)
+    centers = cameras.centers.T.contiguous()
+    at_once = FACES_AT_ONCE if positions.device.type == "cpu" else max(1, count)
+    for start in range(0, count, at_once):
+        part = slice(start, min(start + at_once, count))
+        side = torch.addmm(level[part, None].expand(-1, views), normals[:, part].T, centers, beta=-1)
+        sign[part] = side.sign_().to(torch.int8) * cameras.handedness
+    return sign
 
 
 def _joined(a: Segments, b: Segments) -> Segments:

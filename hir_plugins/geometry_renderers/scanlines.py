@@ -39,16 +39,19 @@ def find_crossings(
     lines = extent[1 - axis] * lines_per_pixel
     # half-open intervals: a line through a vertex meets exactly one of its two edges
     index = torch.ceil(across * lines_per_pixel - 0.5)
-    index = torch.minimum(index.clamp_min(0), lines[segments.view][:, None].to(index)).to(torch.int64)
-    first, last = index.amin(1), index.amax(1)
-    count = last - first
+    index = torch.minimum(index.clamp_min(0), lines.index_select(0, segments.view)[:, None].to(index)).to(torch.int64)
+    one, other = index.unbind(1)
+    first = torch.minimum(one, other)  # a reduction over two columns is ten times slower
+    count = torch.maximum(one, other) - first
     segment = torch.repeat_interleave(torch.arange(len(count), device=count.device), count)
-    offset = torch.arange(len(segment), device=count.device) - (torch.cumsum(count, 0) - count)[segment]
-    line = first[segment] + offset
-    view = segments.view[segment]
 
-    v0, v1 = across[segment].unbind(1)
-    u0, u1 = along[segment].unbind(1)
+    def of_segment(values: Tensor) -> Tensor:
+        return values.index_select(0, segment)  # several times faster than indexing
+
+    line = torch.arange(len(segment), device=count.device) + of_segment(first + count - torch.cumsum(count, 0))
+    view = of_segment(segments.view)
+
+    (u0, u1), (v0, v1) = ([of_segment(end) for end in ends.T.contiguous()] for ends in (along, across))
     # from the end nearer the origin, so that both copies of a duplicated edge give the same bits
     swap = v0 > v1
     low_v, high_v = torch.where(swap, v1, v0), torch.where(swap, v0, v1)
@@ -58,10 +61,10 @@ def find_crossings(
     position = low_u + fraction * (high_u - low_u)
     fraction = torch.where(swap, 1 - fraction, fraction)
 
-    step = segments.winding[segment] * torch.where(swap, -1, 1)
+    step = of_segment(segments.winding) * torch.where(swap, -1, 1)
     if axis == 1:
         step = -step
-    size = extent[axis][view].to(position)
+    size = extent[axis].index_select(0, view).to(position)
     inside = (position > 0) & (position < size)
     position = torch.minimum(position.clamp_min(0), size)
     width = int(extent[axis].max()) + 2.0
@@ -69,17 +72,18 @@ def find_crossings(
     order = torch.argsort(
         (view * stride + line).to(position) * width + position - TIE_PIXELS * step.sign(), stable=True
     )
-    after = torch.cumsum(step[order], 0)
-    before = after - step[order]
+    step = step.index_select(0, order)
+    after = torch.cumsum(step, 0)
+    before = after - step
     kept = (before > 0) != (after > 0)
     chosen = order[kept]
     return Crossings(
         axis,
-        view[chosen],
-        line[chosen],
-        position[chosen],
+        view.index_select(0, chosen),
+        line.index_select(0, chosen),
+        position.index_select(0, chosen),
         before[kept] > 0,
-        segment[chosen],
-        fraction[chosen],
-        inside[chosen],
+        segment.index_select(0, chosen),
+        fraction.index_select(0, chosen),
+        inside.index_select(0, chosen),
     )

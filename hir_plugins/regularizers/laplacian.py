@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from hir_core.optimization.linear_maps import LinearMap, compressed_sum
 from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Mesh, Scene
 from hir_plugins.regularizers.mesh_options import LaplacianOptions
@@ -24,9 +25,9 @@ class Laplacian(Regularizer):
         self._config = config
 
     def prepare(self, scene: Scene) -> Energy:
-        laplacian, weights = mesh_laplacian(
-            scene.mesh.with_positions(scene.mesh.positions.detach()), self._config.cotangent, self._config.scale_free
-        )
+        mesh = scene.mesh.with_positions(scene.mesh.positions.detach())
+        matrix, weights = mesh_laplacian(mesh, self._config.cotangent, self._config.scale_free)
+        laplacian = LinearMap(matrix)
 
         def energy(scene: Scene) -> Float[Tensor, ""]:
             positions = scene.mesh.positions
@@ -38,7 +39,7 @@ class Laplacian(Regularizer):
 
 
 def mesh_laplacian(mesh: Mesh, cotangent: bool = False, scale_free: bool = False) -> tuple[Tensor, Float[Tensor, " V"]]:
-    """Sparse L (V V) and a weight for each vertex: the energy is `Σ w |(L V)_i|²`.
+    """Sparse L (V V), compressed rows, and a weight for each vertex: the energy is `Σ w |(L V)_i|²`.
 
     Rows of L are `mean of the neighbours − vertex`, with equal or cotangent weights. `scale_free` chooses the weights
     that make the sum an estimate of `∫ |Δx|² dA` (with equal weights only as far as the triangles are regular). A
@@ -54,12 +55,8 @@ def mesh_laplacian(mesh: Mesh, cotangent: bool = False, scale_free: bool = False
     usable = total > 1e-9
     share = torch.where(usable[both[:, 0]], weights / total.clamp_min(1e-9)[both[:, 0]], 0.0)
     diagonal = torch.arange(count, device=device).expand(2, -1)
-    matrix = torch.sparse_coo_tensor(
-        torch.cat([both.T, diagonal], dim=1),
-        torch.cat([share, -usable.double()]).to(dtype),
-        (count, count),
-        check_invariants=False,
-    ).coalesce()
+    rows, columns = torch.cat([both.T, diagonal], dim=1)
+    matrix = compressed_sum(rows, columns, torch.cat([share, -usable.double()]).to(dtype), (count, count))
     if not scale_free:
         return matrix, torch.ones(count, dtype=dtype, device=device)
     area = _vertex_areas(mesh)

@@ -103,9 +103,10 @@ def fit_pass(
     context: StageContext,
     plan: Pass,
     total_steps: int,
+    large: LargeSteps,
 ) -> tuple[Mesh, NDArray[np.floating]]:
-    """The mesh after one optimisation, and its photo-consistency error at each step."""
-    large = LargeSteps(mesh.topology, len(mesh.positions), plan.smoothness)
+    """The mesh after one optimisation, and its photo-consistency error at each step. `large`: of the mesh
+    and the plan's smoothness."""
     parameter = large.encode(mesh.positions.detach()).requires_grad_(True)
     rate = LEARNING_RATE * plan.coarseness**0.5
     seed = context.seed + 100 * (plan.number + 1)

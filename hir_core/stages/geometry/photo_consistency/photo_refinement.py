@@ -11,6 +11,7 @@ the judging views too.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache, partial
 from itertools import groupby
 
 import numpy as np
@@ -20,6 +21,7 @@ from torch import Tensor
 
 from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
+from hir_core.mesh.large_steps import LargeSteps
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
 from hir_core.stages.geometry.confirmed_movement import (
@@ -118,6 +120,7 @@ def refine_by_photo_consistency(
     before = evaluated(mesh)
     if not np.nanmax(before.errors, initial=0.0) > LEAST_ERROR:
         return mesh, PhotoConsistencySkipped("the photographs show no detail to compare")
+    large_steps = cache(partial(LargeSteps, mesh.topology, len(mesh.positions)))
     candidates = dict.fromkeys((SMOOTHNESS, FINE_SMOOTHNESS), mesh)
     reports = []
     passes, last = plan_passes(factors, settings.photo_consistency_iterations)
@@ -125,8 +128,8 @@ def refine_by_photo_consistency(
         coarse = downsample != factors[-1]
         details = details_at(downsample) if coarse else finest
         for plan in plans:
-            initial = candidates[plan.smoothness]
-            fitted, curve = fit_pass(initial, details, neighbours, train, iou, settings, context, plan, last.end)
+            initial, large = candidates[plan.smoothness], large_steps(plan.smoothness)
+            fitted, curve = fit_pass(initial, details, neighbours, train, iou, settings, context, plan, last.end, large)
             candidates |= dict.fromkeys(candidates if plan.shared else [plan.smoothness], fitted)
             reports.append(_pass_report(plan, curve))
             if plan.shared and (reason := why_no_finer(fitted, details)):
@@ -139,7 +142,8 @@ def refine_by_photo_consistency(
     if movement.share > 0:
         everything = [i for i in range(len(views)) if i not in set(held_out)]
         near = neighbouring_views(capture.cameras, everything, takes)
-        selected, curve = fit_pass(selected, finest, near, everything, iou, settings, context, last, last.end)
+        large = large_steps(last.smoothness)
+        selected, curve = fit_pass(selected, finest, near, everything, iou, settings, context, last, last.end, large)
         reports.append(_pass_report(last, curve))
         result = interpolated(mesh, selected, movement.share)
     after = evaluate_held_out(result, finest, neighbours, held_out, held_out, iou, context.seed)

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from hir_core.optimization.clipped_pixels import is_clipped_excess
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
+from hir_core.optimization.linear_maps import LinearMap
 
 AlbedoRefiner: TypeAlias = Callable[[Tensor, Tensor], Tensor]
 """(albedo in closed form (N, 3), curvature (N, 3) of the mean error of the pixels there) → refined albedo."""

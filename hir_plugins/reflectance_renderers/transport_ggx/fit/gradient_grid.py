@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
+from hir_core.optimization.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface
 
 AXIS_BITS, SIDE_BITS = 19, 3

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture import Capture
+from hir_core.optimization.linear_maps import LinearMap, SparsityPattern
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap, SparsityPattern
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.spiral import spiral_points
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.traced_directions import (
     DirectionFrames,

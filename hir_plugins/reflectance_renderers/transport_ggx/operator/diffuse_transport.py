@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from hir_core.optimization.linear_maps import LinearMap, compressed_sum
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache import IrradianceCache
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import row_solid_angles, texel_directions
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 
 RAYS_PER_CHUNK = 1 << 21
 
@@ -62,11 +61,8 @@ def diffuse_transport(
     # multiplying by a transposed view of a large row-major matrix is four times slower than by a copy
     return DiffuseTransport(
         LinearMap(sky, sky.T.contiguous()),
-        LinearMap(_csr(receiver, sender, weight, size), _csr(sender, receiver, weight, size)),
+        LinearMap(
+            compressed_sum(receiver, sender, weight, (size, size)),
+            compressed_sum(sender, receiver, weight, (size, size)),
+        ),
     )
-
-
-def _csr(row: Tensor, column: Tensor, weight: Tensor, size: int) -> Tensor:
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(Sparse CSR|[Ss]parse invariant).*")
-        return torch.sparse_coo_tensor(torch.stack([row, column]), weight, (size, size)).coalesce().to_sparse_csr()

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hir_core.optimization.linear_maps import LinearMap
 from hir_core.scene import Mesh
 from hir_plugins.reflectance_renderers.ray_tracer import RayTracer
 from hir_plugins.reflectance_renderers.transport_ggx.operator.diffuse_transport import (
@@ -22,7 +23,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.irradiance_cache i
     build_irradiance_cache,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_pyramid import Pyramid, texel_directions
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.metal_reflections import (
     MAX_REFLECTIONS,
     METAL_FROM,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from hir_core.optimization.linear_maps import LinearMap
 from hir_core.optimization.optimization_loop import optimize
 from hir_core.optimization.schedules import Schedule
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import ObservedPixels
@@ -15,7 +16,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.pixel_bat
 from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization import ADAM_BETAS
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import light_energy
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.textures.brdf_fit_state import PointBrdfs

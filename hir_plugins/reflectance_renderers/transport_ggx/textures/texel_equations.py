@@ -11,13 +11,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from hir_core.optimization.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.fit.closed_form_albedo import (
     AlbedoEquations,
     AlbedoRefiner,
     MetalTerm,
     solve_albedo,
 )
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 
 MIN_PIXELS = 1.0
 """A texel counts as observed if more pixels than this see it."""

@@ -205,7 +205,7 @@ def test_finer_photographs_are_used_where_the_coarsest_ones_gain(
     plans = []
 
     def scripted(mesh: Mesh, *others: Any) -> tuple[Mesh, np.ndarray]:
-        plans.append(others[-2])
+        plans.append(others[-3])
         return interpolated(ball, bowl, found), np.zeros(1)
 
     monkeypatch.setattr(photo_refinement, "fit_pass", scripted)

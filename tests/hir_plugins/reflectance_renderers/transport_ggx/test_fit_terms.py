@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from hir_core.capture import Capture, Pixels, View
+from hir_core.optimization.linear_maps import LinearMap
 from hir_core.optimization.weighted_energies import solver_terms
 from hir_core.plugins.interfaces import CheckpointLocation, WeightedTerm
 from hir_core.plugins.manager import PluginManager
@@ -31,7 +32,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.joint_optimization impo
 )
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
 from hir_plugins.reflectance_renderers.transport_ggx.fit.proximal_step import proximal_step
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver

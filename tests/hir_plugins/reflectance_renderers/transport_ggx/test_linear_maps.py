@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from hir_core.optimization.linear_maps import LinearMap, SparsityPattern
 from hir_plugins.reflectance_renderers import ray_tracer
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap, SparsityPattern
 
 ROWS, WIDTH, ENTRIES = 50, 30, 7
 

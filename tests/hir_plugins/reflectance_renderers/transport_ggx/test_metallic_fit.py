@@ -10,6 +10,7 @@ from hir_exporters.metallic_parameters import DEFAULT_DIELECTRIC_F0
 from torch import Tensor
 
 from hir_core.capture import Capture
+from hir_core.optimization.linear_maps import LinearMap
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Material, Scene
 from hir_core.stages.atlas import unwrap_mesh
@@ -35,7 +36,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Param
 from hir_plugins.reflectance_renderers.transport_ggx.fit.smoothness import SmoothnessWeights, smoothness_energy
 from hir_plugins.reflectance_renderers.transport_ggx.operator.diffuse_transport import DiffuseTransport
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX

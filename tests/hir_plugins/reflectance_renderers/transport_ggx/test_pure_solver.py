@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from hir_core.capture import Capture
+from hir_core.optimization.linear_maps import LinearMap
 from hir_core.optimization.parallel_jobs import StopSignal, run_in_parallel
 from hir_core.plugins.interfaces import CheckpointLocation
 from hir_core.plugins.manager import PluginManager
@@ -24,7 +25,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels import photograph_pixels
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MAX_FITTED_F0
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from hir_plugins.reflectance_renderers.transport_ggx.renderer import TransportGGX
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver

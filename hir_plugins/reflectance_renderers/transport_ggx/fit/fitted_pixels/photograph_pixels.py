@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from hir_core.capture import Capture
+from hir_core.optimization.linear_maps import LinearMap
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.mini_batches import MiniBatches
@@ -26,7 +27,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Param
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import LampCameras, LampPoints
 from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_light import pixel_irradiance
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.shading_normals import offset_normals
 from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 

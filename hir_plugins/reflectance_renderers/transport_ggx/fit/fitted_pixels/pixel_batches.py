@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from hir_core.optimization.clipped_pixels import without_clipped_excess
+from hir_core.optimization.linear_maps import LinearMap
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene.srgb import linear_to_srgb
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_pixels.observed_pixels import ObservedPixels
@@ -21,7 +22,6 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import
     lamp_lobe,
 )
 from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import Transport
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import LinearMap
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.metal_reflections import MetalSurface
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import Lobes
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_radiance import SpecularMatrices

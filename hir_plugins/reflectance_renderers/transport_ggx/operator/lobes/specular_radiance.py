@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from hir_core.optimization.linear_maps import SparsityPattern
 from hir_plugins.reflectance_renderers.brdf_torch import Model, directional_albedo_terms
-from hir_plugins.reflectance_renderers.transport_ggx.operator.linear_maps import SparsityPattern
 from hir_plugins.reflectance_renderers.transport_ggx.operator.lobes.specular_lobes import Lobes
 
 _NORMAL_STEP_IN_ALPHAS = 0.02
