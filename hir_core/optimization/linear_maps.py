@@ -16,6 +16,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+ROWS_AT_ONCE = 64
+"""Of a large dense matrix, in each of the products that are added."""
+LARGE_MATRIX = 1 << 21
+"""Entries of a matrix that is larger than the cache of a processor."""
+
 
 @dataclass(frozen=True, eq=False)
 class SparsityPattern:
@@ -99,15 +104,28 @@ class _Product(torch.autograd.Function):
     def forward(ctx, dense, linear_map):  # type: ignore[no-untyped-def]
         ctx.linear_map = linear_map
         if linear_map.is_dense:
-            # a few rows times a wide matrix is three times faster than the matrix times a few columns
-            return (dense.T @ linear_map.transposed).T
+            return _few_rows_times(dense.T, linear_map.transposed).T
         return linear_map.matrix @ dense
 
     @staticmethod
     def backward(ctx, gradient):  # type: ignore[no-untyped-def]
         if ctx.linear_map.is_dense:
-            return (gradient.T @ ctx.linear_map.matrix).T, None
+            return _few_rows_times(gradient.T, ctx.linear_map.matrix).T, None
         return ctx.linear_map.transposed @ gradient.contiguous(), None
+
+
+def _few_rows_times(rows: Float[Tensor, "C K"], matrix: Float[Tensor, "K N"]) -> Float[Tensor, "C N"]:
+    """`rows @ matrix`, which is three times faster than the matrix times a few columns.
+
+    On a CPU a large product is the sum of many: a product of three rows runs on one thread, and a batch on all.
+    """
+    parts = len(matrix) // ROWS_AT_ONCE
+    if matrix.device.type != "cpu" or parts < 2 or matrix.numel() < LARGE_MATRIX:
+        return rows @ matrix
+    end = parts * ROWS_AT_ONCE
+    batch = rows[:, :end].reshape(len(rows), parts, ROWS_AT_ONCE).transpose(0, 1)
+    found = (batch @ matrix[:end].reshape(parts, ROWS_AT_ONCE, -1)).sum(dim=0)
+    return found if end == len(matrix) else found + rows[:, end:] @ matrix[end:]
 
 
 def _transposed(matrix: Tensor) -> Tensor:

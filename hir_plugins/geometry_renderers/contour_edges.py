@@ -121,9 +121,9 @@ class CameraBatch:
         """Distance along each camera's axis."""
         return points @ self.projection[:, 2, :3].T + self.projection[:, 2, 3]
 
-    def all_see_front(self, positions: Float[Tensor, "V 3"]) -> bool:
+    def all_see_front(self, axes: Float[Tensor, "3 V"]) -> bool:
         """Whether the bounding box of the points lies in front of every camera, well beyond the near plane."""
-        low, high = positions.T.contiguous().aminmax(dim=1)
+        low, high = axes.aminmax(dim=1)
         box = torch.cartesian_prod(*torch.stack([low, high], dim=1))
         depth = self.depths(box)
         return bool((depth.amin(0) > 2 * NEAR_DEPTH * depth.amax(0)).all())
@@ -176,9 +176,10 @@ def find_segments(
     Which side of a triangle is seen follows from its plane and the camera's centre: one matrix product for all views.
     It can be wrong by rounding only for a sliver thinner than the rounding error, and the count stays an integer.
     """
-    sign = _seen_sides(positions, table.corners, cameras)
+    axes = positions.T.contiguous()
+    sign = _seen_sides(axes, table.corners, cameras)
     cuts = None
-    if len(positions) and not cameras.all_see_front(positions):
+    if len(positions) and not cameras.all_see_front(axes):
         depth = cameras.depths(positions)
         near = depth.amax(0).clamp_min(torch.finfo(depth.dtype).tiny) * NEAR_DEPTH
         behind = depth <= near
@@ -203,22 +204,20 @@ def find_segments(
     return segments if cuts is None else _joined(segments, cuts)
 
 
-def _seen_sides(
-    positions: Float[Tensor, "V 3"], corners: Int[Tensor, "3 F"], cameras: CameraBatch
-) -> Int[Tensor, "F+1 B"]:
+def _seen_sides(axes: Float[Tensor, "3 V"], corners: Int[Tensor, "3 F"], cameras: CameraBatch) -> Int[Tensor, "F+1 B"]:
     """1 where a camera sees the front of a face, −1 where it sees the back, 0 for a face without area or in profile;
     a row of zeros follows. int8.
     """
     # each component is an array of its own: arithmetic on these takes a third of the time of (F, 3) arrays
-    a, b, c = ([axis.index_select(0, corner) for axis in positions.T.contiguous()] for corner in corners)
+    a, b, c = ([axis.index_select(0, corner) for axis in axes] for corner in corners)
     u, v = ([q - p for p, q in zip(a, ends, strict=True)] for ends in (b, c))
     pairs = (1, 2), (2, 0), (0, 1)
     normals = torch.stack([torch.addcmul(u[i] * v[j], u[j], v[i], value=-1) for i, j in pairs])
     level = torch.addcmul(torch.addcmul(normals[0] * a[0], normals[1], a[1]), normals[2], a[2])
     count, views = corners.shape[1], len(cameras.centers)
-    sign = torch.zeros((count + 1, views), dtype=torch.int8, device=positions.device)
+    sign = torch.zeros((count + 1, views), dtype=torch.int8, device=axes.device)
     centers = cameras.centers.T.contiguous()
-    at_once = FACES_AT_ONCE if positions.device.type == "cpu" else max(1, count)
+    at_once = FACES_AT_ONCE if axes.device.type == "cpu" else max(1, count)
     for start in range(0, count, at_once):
         part = slice(start, min(start + at_once, count))
         side = torch.addmm(level[part, None].expand(-1, views), normals[:, part].T, centers, beta=-1)

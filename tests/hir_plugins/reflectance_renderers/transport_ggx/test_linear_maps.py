@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from hir_core.optimization.linear_maps import LinearMap, SparsityPattern
+from hir_core.optimization.linear_maps import LARGE_MATRIX, LinearMap, SparsityPattern
 from hir_plugins.reflectance_renderers import ray_tracer
 
 ROWS, WIDTH, ENTRIES = 50, 30, 7
@@ -37,6 +37,20 @@ def test_value_and_gradient_of_a_map(stored: str, channels: int) -> None:
     assert torch.allclose(product, full @ dense, atol=1e-5)
     assert dense.grad is not None and torch.allclose(dense.grad, full.T @ weight, atol=1e-5)
     assert torch.allclose(linear.T @ weight, full.T @ weight, atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(1600, 1500), (70, 40_000)])
+def test_a_large_map_is_the_sum_of_its_parts(size: tuple[int, int]) -> None:
+    """Against float64; neither number of rows is a multiple of the parts'."""
+    rng = np.random.default_rng(0)
+    full, right, weight = rng.random(size), rng.random((size[1], 3)), rng.random((size[0], 3))
+    linear = LinearMap(torch.from_numpy(full).float())
+    dense = torch.from_numpy(right).float().requires_grad_()
+    product = linear @ dense
+    (product * torch.from_numpy(weight).float()).sum().backward()
+    assert full.size > LARGE_MATRIX and dense.grad is not None
+    np.testing.assert_allclose(product.detach().numpy(), full @ right, rtol=1e-5)
+    np.testing.assert_allclose(dense.grad.numpy(), full.T @ weight, rtol=1e-5)
 
 
 def test_a_transpose_is_made_only_where_it_is_needed() -> None:
