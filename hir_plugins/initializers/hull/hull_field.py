@@ -65,7 +65,8 @@ class HullField:
 
     def per_view(self, points: Tensor) -> Tensor:
         """Each view's signed distance (V, N) at unit-frame points (N, 3); +inf outside the view's image."""
-        return torch.stack([_sample(view, points) for view in self._views])
+        axes = points.T.contiguous()
+        return torch.stack([_sample(view, axes) for view in self._views])
 
     def unexplained(self, view: int, points: Tensor, spacing: float) -> float:
         """Share of a view's mask that no sphere of radius `spacing` around unit-frame points (N, 3) covers."""
@@ -90,18 +91,18 @@ class HullField:
         # the cost of merging grows with `keep`: a batch of at least as many views keeps it linear in the views
         batch = max(_VIEW_BATCH, keep)
         result = points.new_full((len(points),), _UNSEEN_DISTANCE)
-        index = torch.arange(len(points))
+        axes, index = points.T.contiguous(), torch.arange(len(points))
         lowest = points.new_full((len(points), keep), torch.inf)
         seen = torch.zeros(len(points), dtype=torch.int64)
         for start in range(0, len(self._views), batch):
-            values = torch.stack([_sample(view, points) for view in self._views[start : start + batch]], dim=1)
+            values = torch.stack([_sample(view, axes) for view in self._views[start : start + batch]], dim=1)
             seen += torch.isfinite(values).sum(dim=1)
             lowest = _lowest(torch.cat([lowest, values], dim=1), keep)
             if np.isfinite(cut):
                 alive = lowest[:, -1] > -cut
                 if alive.float().mean() < 0.8:
                     result[index[~alive]] = lowest[~alive, -1]
-                    points, index, lowest, seen = points[alive], index[alive], lowest[alive], seen[alive]
+                    axes, index, lowest, seen = axes[:, alive], index[alive], lowest[alive], seen[alive]
         known = seen >= self.min_views
         result[index[known]] = lowest[known, -1].clamp_max(-_UNSEEN_DISTANCE)
         return result
@@ -132,16 +133,20 @@ def _view_tensors(field: SilhouetteField, world_from_unit: Array) -> _ViewTensor
     )
 
 
-def _sample(view: _ViewTensors, points: Tensor) -> Tensor:
-    """Signed distance (N,) across the viewing ray in units of the radius; +inf where the picture does not reach."""
+def _sample(view: _ViewTensors, axes: Tensor) -> Tensor:
+    """Signed distance (N,) across the viewing ray in units of the radius; +inf where the picture does not reach.
+
+    `axes` (3, N): each coordinate of the points is an array of its own, which is twice as fast.
+    """
     height, width = view.distance.shape[2:]
-    local = points @ view.projection[:, :3].T + view.projection[:, 3]
-    depth = local[:, 2]
-    pixels = local[:, :2] / depth.clamp_min(1e-6)[:, None]
-    scale = torch.tensor([2 / width, 2 / height])
-    grid = pixels * scale - 1
-    visible = (depth > 1e-6) & (grid.abs() <= 1).all(dim=1)
+    x, y, depth = torch.addmm(view.projection[:, 3:], view.projection[:, :3], axes)
+    shrunk = depth.clamp_min(1e-6)
+    column, row = x / shrunk * (2 / width) - 1, y / shrunk * (2 / height) - 1
+    visible = (depth > 1e-6) & (column.abs() <= 1) & (row.abs() <= 1)
     sampled = torch.nn.functional.grid_sample(
-        view.distance.float(), grid[None, None].clamp(-2, 2), padding_mode="border", align_corners=False
+        view.distance.float(),
+        torch.stack([column, row], dim=1)[None, None].clamp(-2, 2),
+        padding_mode="border",
+        align_corners=False,
     )[0, 0, 0]
     return torch.where(visible, sampled * depth / view.focal, torch.inf)
