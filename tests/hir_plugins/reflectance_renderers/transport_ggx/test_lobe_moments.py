@@ -44,7 +44,7 @@ ROWS = 64
 
 def weighted_lobe(alpha: float, cosine: float, rho_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Directions (N, 3) about the normal (0, 0, 1), and the lobe's weight of each, by midpoints of the hemisphere."""
-    z, turn = (np.arange(1500) + 0.5) / 1500, (np.arange(720) + 0.5) / 720 * 2 * np.pi
+    z, turn = (np.arange(600) + 0.5) / 600, (np.arange(240) + 0.5) / 240 * 2 * np.pi
     z, turn = np.meshgrid(z**2, turn, indexing="ij")  # finer near the horizon
     density = np.sqrt(z)
     radius = np.sqrt(1 - z * z)
