@@ -94,8 +94,8 @@ def dense_map() -> Operation:
 def outline_edges() -> Operation:
     """The edges between triangles on opposite sides, in eight views."""
     mesh = icosphere(6)
-    generator = torch.Generator().manual_seed(0)
-    positions = mesh.positions.double() * (1 + 0.02 * torch.rand(len(mesh.positions), 1, generator=generator))
+    positions = mesh.positions.double()
+    positions = positions * (1 + 0.1 * (5 * positions).sin().prod(dim=1, keepdim=True))
     cameras = CameraBatch.of([looking_at((3.0, x, 1.0), 64, 64) for x in range(-4, 4)], torch.device("cpu"))
     faces, topology = mesh.faces, Topology(mesh.faces)
     table = EdgeTable.of(topology)
