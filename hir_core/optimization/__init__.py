@@ -1,1 +1,1 @@
-"""The optimisation loop, its schedules and checkpoints, weighted energies, non-finite diagnostics."""
+"""The optimisation loop, its schedules and checkpoints, weighted energies, linear maps, non-finite diagnostics."""
