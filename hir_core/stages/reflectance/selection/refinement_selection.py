@@ -315,7 +315,9 @@ def lobe_refinements(spec: ModelSpec) -> list[ModelSpec]:
 
 
 def with_refinements(spec: ModelSpec, of: ModelSpec) -> ModelSpec:
-    """A hypothesis with the freedom of another model: its maps, and a specular map against a map of metalness."""
+    """A hypothesis with the freedom of another model: its maps, and a map of its own against a map of metalness, of the
+    specular albedo, or of the roughness of a metal.
+    """
     specular = spec.kind != "diffuse"
     maps_specular = spec.kind in ("paper", "dielectric") and (of.specular == "map" or of.kind == "mixed")
     return replace(
@@ -324,7 +326,7 @@ def with_refinements(spec: ModelSpec, of: ModelSpec) -> ModelSpec:
         bounces=of.bounces if spec.light_frame == "world" and of.light_frame == "world" else spec.bounces,
         specular="map" if maps_specular else spec.specular,
         colored=of.colored and spec.kind == "paper",
-        roughness=of.roughness if specular else "uniform",
+        roughness="map" if spec.kind == "metal" and of.kind == "mixed" else of.roughness if specular else "uniform",
         normals=of.normals if spec.light_frame == "world" else "mesh",
     )
 

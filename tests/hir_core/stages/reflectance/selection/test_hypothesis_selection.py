@@ -213,6 +213,21 @@ def test_a_runner_up_gets_the_refinements_of_the_selected_one_and_its_own(relief
     assert kinds[0] == "mixed" and kinds[-1] == "dielectric", "its own refinements come after it was selected"
 
 
+@pytest.mark.parametrize(("gain_of_roughness", "expected"), [(1.5, "metal"), (0.2, "mixed")])
+def test_a_metal_gets_a_map_against_a_map_of_metalness(gain_of_roughness: float, expected: str) -> None:
+    """A map of metalness, and none of roughness, is ahead of a metal of one roughness."""
+
+    def error(spec: ModelSpec) -> float:
+        gain = {"diffuse": 0.0, "dielectric": 1.0, "metal": 4.0, "mixed": 4.8}[spec.kind]
+        varies = spec.kind == "metal" and spec.roughness == "map"
+        return level(25 + gain + gain_of_roughness * varies)
+
+    selection = select(Scripted(error, noise=0.01), ReflectanceSettings(light_frame="world"))
+    assert selection.spec.kind == selection.hypothesis.kind == expected
+    assert (selection.spec.roughness == "map") == (expected == "metal")
+    assert ModelSpec("metallic", "uniform", "map", metalness="metal") in [each.spec for each in selection.comparisons]
+
+
 @pytest.mark.parametrize(("ratio", "expected"), [(0.4, "camera"), (1.065, "world")], ids=["5.6 errors", "2.1 errors"])
 def test_a_light_on_the_camera_is_not_selected_in_a_near_tie(ratio: float, expected: str) -> None:
     """Both lights are alike until a map was accepted; then one on the camera gains 0.5 dB, which differs by view."""
