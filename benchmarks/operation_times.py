@@ -3,8 +3,9 @@
     python -m benchmarks.operation_times --store FILE
     python -m benchmarks.operation_times --table FILE
 
-Processor seconds of one thread, the fastest of `REPEATS`; run it alone on the machine. The plain form shares no code
-with ours, and is the reference for its values: the largest difference, as a share of the largest value.
+Processor seconds of one thread, the fastest of `REPEATS`; run it alone on the machine. The plain form is written anew,
+but for the lobe of the BRDF and the points of the disc, and is the reference for the values: the largest difference, as
+a share of the largest value.
 """
 
 from __future__ import annotations

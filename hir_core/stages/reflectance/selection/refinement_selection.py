@@ -315,18 +315,19 @@ def lobe_refinements(spec: ModelSpec) -> list[ModelSpec]:
 
 
 def with_refinements(spec: ModelSpec, of: ModelSpec) -> ModelSpec:
-    """A hypothesis with the freedom of another model: its maps, and a map of its own against a map of metalness, of the
-    specular albedo, or of the roughness of a metal.
+    """A hypothesis with the freedom of another model: its maps. Against a map of metalness a dielectric gets a map of
+    the specular albedo, and a metal one of the roughness.
     """
-    specular = spec.kind != "diffuse"
     maps_specular = spec.kind in ("paper", "dielectric") and (of.specular == "map" or of.kind == "mixed")
+    maps_metal = spec.kind == "metal" and of.kind == "mixed"
+    maps_roughness = spec.kind != "diffuse" and (of.roughness == "map" or maps_metal)
     return replace(
         spec,
         exposures=of.exposures,
         bounces=of.bounces if spec.light_frame == "world" and of.light_frame == "world" else spec.bounces,
         specular="map" if maps_specular else spec.specular,
         colored=of.colored and spec.kind == "paper",
-        roughness="map" if spec.kind == "metal" and of.kind == "mixed" else of.roughness if specular else "uniform",
+        roughness="map" if maps_roughness else "uniform",
         normals=of.normals if spec.light_frame == "world" else "mesh",
     )
 

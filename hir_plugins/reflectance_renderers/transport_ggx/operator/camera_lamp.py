@@ -155,7 +155,7 @@ class LampRays:
     """Of the points, each component (P, 1)."""
     to_eye: Planes
     """Each component (P, 1)."""
-    intensity: Float[Tensor, 3]
+    intensity: Float[Tensor, " 3"]
     """Of the lamp."""
 
 
