@@ -39,17 +39,21 @@ class BlurredPhotograph:
     sigma: float
     """Standard deviation of the blur, in pixels."""
 
+    def shown(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Indices of the points (N, 3) inside the mask, and the colours there, whatever is in front of the points."""
+        column, row, inside = self.pixels_of(points)
+        index = np.flatnonzero(inside)
+        pixel = row[index] * self.camera.width + column[index]
+        masked = self.valid.reshape(-1)[pixel]
+        return index[masked], self.colors.reshape(-1, 3)[pixel[masked]]
+
     def seen(self, points: Array, surface: MeshQueries, lift: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Indices of the points (N, 3) that the photograph sees, and their colours there. `lift` is the distance from
         the surface at which rays to the camera begin.
         """
-        column, row, inside = self.pixels_of(points)
-        index = np.flatnonzero(inside)
-        index = index[self.valid[row[index], column[index]]]
-        toward = self.camera.center - points[index]
-        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-        index = index[~surface.occluded(points[index] + lift * toward, toward)]
-        return index, self.colors[row[index], column[index]]
+        index, colors = self.shown(points)
+        free = ~surface.occluded(*lifted_rays(points[index], self.camera.center, lift))
+        return index[free], colors[free]
 
     def multiplied(self, factors: Array) -> BlurredPhotograph:
         """With another exposure: factors (3,) of the linear colours."""
@@ -59,7 +63,9 @@ class BlurredPhotograph:
     def pixels_of(self, points: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Column and row (N,) of each point, clipped to the picture, and whether the point lies in it."""
         pixels, depth = self.camera.project(points)
-        column, row = np.floor(np.clip(pixels, -1e6, 1e6)).astype(np.int64).T
+        # components in arrays of their own: numpy is slow along a short dimension
+        column = np.floor(np.clip(pixels[:, 0], -1e6, 1e6)).astype(np.int64)
+        row = np.floor(np.clip(pixels[:, 1], -1e6, 1e6)).astype(np.int64)
         width, height = self.camera.width, self.camera.height
         inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
         return np.clip(column, 0, width - 1), np.clip(row, 0, height - 1), inside
@@ -116,37 +122,67 @@ def color_variance(
     return np.where(known, deviations / np.maximum(freedom, 1), 0.0), count
 
 
-def prediction_errors(
-    pixels: Mapping[int, Pixels],
-    surface: MeshQueries,
-    photographs: Sequence[BlurredPhotograph],
-    lift: float,
-    least_degrees: float = 0.0,
-) -> dict[int, NDArray[np.float64]]:
-    """Squared error of each pixel of the photographs with these indices, summed over channels; NaN where fewer than
-    `LEAST_PHOTOGRAPHS` others of its take see the point that it shows. `least_degrees` is the angle, seen from the
-    origin, from which on another photograph predicts.
-    """
-    toward = np.stack([photograph.camera.center for photograph in photographs])
-    toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
-    degrees = np.degrees(np.arccos(np.clip(toward @ toward.T, -1, 1)))
-    owner = np.repeat(list(pixels), [len(chosen) for chosen in pixels.values()])
-    points, hits, own = [], [], []
-    for i, chosen in pixels.items():
-        origins, directions = photographs[i].camera.rays(chosen + 0.5)
-        distance = surface.first_distances(origins, directions).astype(np.float64)
-        reached = np.isfinite(distance)
-        points.append(origins + directions * np.where(reached, distance, 0)[:, None])
-        hits.append(reached)
-        own.append(photographs[i].colors[chosen[:, 1], chosen[:, 0]])
-    positions, hit = np.concatenate(points), np.concatenate(hits)
-    take = np.array([photographs[i].take for i in owner])
-    total, count = np.zeros((len(positions), 3)), np.zeros(len(positions), np.int64)
-    for j, other in enumerate(photographs):
-        asked = np.flatnonzero(hit & (owner != j) & (take == other.take) & (degrees[owner, j] >= least_degrees))
-        index, colors = other.seen(positions[asked], surface, lift)
-        total[asked[index]] += colors
-        count[asked[index]] += 1
-    error = ((total / np.maximum(count, 1)[:, None] - np.concatenate(own)) ** 2).sum(axis=1)
-    error = np.where(hit & (count >= LEAST_PHOTOGRAPHS), error, np.nan)
-    return {i: error[owner == i] for i in pixels}
+@dataclass(frozen=True, eq=False)
+class PredictedPixels:
+    """Pixels of photographs that others predict, and their rays: all that a prediction needs of them but a surface."""
+
+    photographs: Sequence[BlurredPhotograph]
+    owner: NDArray[np.int64]
+    """(N,) index of each pixel's photograph."""
+    origins: Array
+    """(N, 3)"""
+    directions: Array
+    """(N, 3), of length 1."""
+    colors: NDArray[np.float32]
+    """(N, 3)"""
+    degrees: Array
+    """(J, J) angle between photographs, seen from the origin; NaN between a photograph and itself or another take."""
+
+    @classmethod
+    def of(cls, pixels: Mapping[int, Pixels], photographs: Sequence[BlurredPhotograph]) -> PredictedPixels:
+        """Pixels of the photographs with these indices."""
+        toward = np.stack([photograph.camera.center for photograph in photographs])
+        toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-12)
+        degrees = np.degrees(np.arccos(np.clip(toward @ toward.T, -1, 1)))
+        take = np.array([photograph.take for photograph in photographs])
+        degrees[take[:, None] != take] = np.nan
+        np.fill_diagonal(degrees, np.nan)
+        rays = [photographs[i].camera.rays(chosen + 0.5) for i, chosen in pixels.items()]
+        origins, directions = (np.concatenate(each) for each in zip(*rays, strict=True))
+        colors = [photographs[i].colors[chosen[:, 1], chosen[:, 0]] for i, chosen in pixels.items()]
+        owner = np.repeat(list(pixels), [len(chosen) for chosen in pixels.values()])
+        return cls(photographs, owner, origins, directions, np.concatenate(colors), degrees)
+
+    def errors(self, surface: MeshQueries, lift: float, least_degrees: float = 0.0) -> dict[int, NDArray[np.float64]]:
+        """Squared error of each pixel of each photograph, summed over channels; NaN where fewer than
+        `LEAST_PHOTOGRAPHS` others of its take see the point that it shows. `lift` is the distance from the surface at
+        which rays to cameras begin, `least_degrees` the angle from which on another photograph predicts.
+        """
+        distance = surface.first_distances(self.origins, self.directions).astype(np.float64)
+        hit = np.isfinite(distance)
+        points = self.origins + self.directions * np.where(hit, distance, 0)[:, None]
+        asked = hit[:, None] & (self.degrees >= least_degrees)[self.owner]
+        indices, rays, colors = [], [], []
+        for other, photograph in enumerate(self.photographs):
+            chosen = np.flatnonzero(asked[:, other])
+            index, shown = photograph.shown(points[chosen])
+            indices.append(chosen[index])
+            rays.append(lifted_rays(points[chosen[index]], photograph.camera.center, lift))
+            colors.append(shown)
+        # one call for the rays of all photographs, because each call has a cost of its own
+        starts, toward = (np.concatenate(each) for each in zip(*rays, strict=True))
+        free = ~surface.occluded(starts, toward)
+        index, color = np.concatenate(indices)[free], np.concatenate(colors)[free]
+        count = np.bincount(index, minlength=len(points))
+        total = np.stack([np.bincount(index, color[:, c], len(points)) for c in range(3)], axis=1)
+        error = ((total / np.maximum(count, 1)[:, None] - self.colors) ** 2).sum(axis=1)
+        error = np.where(hit & (count >= LEAST_PHOTOGRAPHS), error, np.nan)
+        return {int(i): error[self.owner == i] for i in dict.fromkeys(self.owner.tolist())}
+
+
+def lifted_rays(points: Array, center: Array, lift: float) -> tuple[Array, Array]:
+    """Origins (N, 3) and unit directions (N, 3) of rays from points to a camera, `lift` away from the points."""
+    toward = center - points
+    x, y, z = toward.T
+    toward /= np.sqrt(x * x + y * y + z * z)[:, None]
+    return points + lift * toward, toward

@@ -20,8 +20,8 @@ from hir_plugins.initializers.hollows.outline_search import (
 )
 from hir_plugins.initializers.hollows.photo_prediction import (
     BlurredPhotograph,
+    PredictedPixels,
     color_variance,
-    prediction_errors,
 )
 from hir_plugins.initializers.hollows.reflection import reflection_errors
 from hir_plugins.initializers.hollows.sunk_volume import Solid, sunk, wall_distance
@@ -123,9 +123,10 @@ def _find_hollow(volume: Volume, solid: Solid, photographs: Sequence[BlurredPhot
         window = window_of(volume, opening, photographs, seed)
         if window is None:
             return None
-        before = window.means(prediction_errors(window.pixels, surface, photographs, LIFT * volume.spacing))
+        predicted = PredictedPixels.of(window.pixels, photographs)
+        before = window.means(predicted.errors(surface, LIFT * volume.spacing))
         wall = wall_distance(solid, opening.grown(max(FIRST_STEPS)))
-        return _PhotographSearch(volume, window, before, wall, surface, photographs)
+        return _PhotographSearch(volume, window, before, wall, surface, predicted)
 
     searches = []
     for opening in find_openings(volume, cells, variance, count >= 4)[:CANDIDATES]:
@@ -155,21 +156,21 @@ class _PhotographSearch(OutlineSearch):
 
     surface: MeshQueries
     """Of the volume as it is."""
-    photographs: Sequence[BlurredPhotograph]
+    predicted: PredictedPixels
+    """Those of the window."""
 
     def errors(self, volume: Volume) -> Floats:
         """Of predictions by all other photographs of the take."""
         return self._errors(volume)
 
     def _errors(self, volume: Volume, least_degrees: float = 0.0) -> Floats:
-        surface, lift = MeshQueries(*smooth_triangles(volume)), LIFT * self.volume.spacing
-        errors = prediction_errors(self.window.pixels, surface, self.photographs, lift, least_degrees)
-        return self.window.means(errors)
+        surface = MeshQueries(*smooth_triangles(volume))
+        return self.window.means(self.predicted.errors(surface, LIFT * self.volume.spacing, least_degrees))
 
     def hollow(self, found: Sunk) -> Hollow:
         """With all that decides whether it is one."""
         far = self._errors(self.sunk_volume(found.opening, found.depth), DISTANT_DEGREES)
-        reflected = reflection_errors(self.window.pixels, self.volume, self.surface, self.photographs)
+        reflected = reflection_errors(self.window.pixels, self.volume, self.surface, self.predicted.photographs)
         return Hollow(
             found.opening,
             found.depth,

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from numpy.typing import NDArray
 
 from hir_core.capture import Array, Capture, View
 from hir_core.errors import ConfigError, StageError
@@ -21,9 +22,9 @@ from hir_plugins.initializers.hollows.hollows import Hollows
 from hir_plugins.initializers.hollows.openings import Opening, find_openings, surface_cells
 from hir_plugins.initializers.hollows.photo_prediction import (
     BlurredPhotograph,
+    PredictedPixels,
     blurred_photographs,
     color_variance,
-    prediction_errors,
 )
 from hir_plugins.initializers.hollows.reflection import reflection_errors
 from hir_plugins.initializers.hollows.search import find_hollows
@@ -246,16 +247,74 @@ def test_the_true_surface_predicts_photographs_and_a_lid_does_not() -> None:
     true, lid = (MeshQueries(np.asarray(mesh.vertices), np.asarray(mesh.faces)) for mesh in (cup(), block()))
     above = max(range(24), key=lambda i: photographs[i].camera.center[1])
     pixels = {above: np.argwhere(photographs[above].valid)[::7, ::-1]}
-    errors = {
-        name: prediction_errors(pixels, queries, photographs, 0.02)[above]
-        for name, queries in (("true", true), ("lid", lid))
-    }
+    predicted = PredictedPixels.of(pixels, photographs)
+    errors = {name: predicted.errors(queries, 0.02)[above] for name, queries in (("true", true), ("lid", lid))}
     assert np.nanmedian(errors["true"]) < 1e-3 < 8 * np.nanmedian(errors["true"]) < np.nanmedian(errors["lid"])
     # another light says nothing about this one's photographs
     alone = [replace(photograph, take=i) for i, photograph in enumerate(photographs)]
-    assert np.isnan(prediction_errors(pixels, true, alone, 0.02)[above]).all()
+    assert np.isnan(PredictedPixels.of(pixels, alone).errors(true, 0.02)[above]).all()
     # nobody looks from more than half a turn away
-    assert np.isnan(prediction_errors(pixels, true, photographs, 0.02, 180.0)[above]).all()
+    assert np.isnan(predicted.errors(true, 0.02, 180.0)[above]).all()
+
+
+def test_predictions_of_all_pixels_together_are_those_of_each_alone() -> None:
+    """Against a loop over pixels, photographs and triangles."""
+    capture = photographed(cup(), painted)
+    photographs = [replace(each, take=i % 3 == 0) for i, each in enumerate(blurred_photographs(capture, 0.02))]
+    mesh, lift, least = cup(), 0.02, 30.0
+    pixels = {i: np.argwhere(photographs[i].valid)[5::97, ::-1] for i in (1, 3, 10)}
+    predicted = PredictedPixels.of(pixels, photographs)
+    found = predicted.errors(MeshQueries(np.asarray(mesh.vertices), np.asarray(mesh.faces)), lift, least)
+    assert list(found) == list(pixels)
+    for i, chosen in pixels.items():
+        expected = [_predicted_alone(mesh, photographs, i, pixel, lift, least) for pixel in chosen]
+        np.testing.assert_allclose(found[i], expected, rtol=1e-3, atol=1e-6)
+        assert np.isfinite(expected).any() and np.isnan(expected).any() == np.isnan(found[i]).any()
+
+
+def _predicted_alone(
+    mesh: trimesh.Trimesh,
+    photographs: list[BlurredPhotograph],
+    i: int,
+    pixel: NDArray[np.int64],
+    lift: float,
+    least: float,
+) -> float:
+    camera = photographs[i].camera
+    local = np.linalg.solve(camera.intrinsics, [pixel[0] + 0.5, pixel[1] + 0.5, 1.0])
+    direction = camera.world_to_camera[:3, :3].T @ local
+    distance = _distances(mesh, camera.center, direction).min()
+    if not np.isfinite(distance):
+        return float("nan")
+    point = camera.center + distance * direction
+    colors = []
+    for j, other in enumerate(photographs):
+        cosine = camera.center @ other.camera.center
+        cosine /= np.linalg.norm(camera.center) * np.linalg.norm(other.camera.center)
+        if j == i or other.take != photographs[i].take or np.degrees(np.arccos(np.clip(cosine, -1, 1))) < least:
+            continue
+        x, y, depth = other.camera.intrinsics @ (other.camera.world_to_camera @ [*point, 1.0])[:3]
+        column, row = int(x // depth), int(y // depth)
+        if not (0 <= column < other.camera.width and 0 <= row < other.camera.height and other.valid[row, column]):
+            continue
+        toward = (other.camera.center - point) / np.linalg.norm(other.camera.center - point)
+        if not np.isfinite(_distances(mesh, point + lift * toward, toward)).any():
+            colors.append(other.colors[row, column])
+    if len(colors) < 2:
+        return float("nan")
+    return float(((np.mean(colors, axis=0) - photographs[i].colors[pixel[1], pixel[0]]) ** 2).sum())
+
+
+def _distances(mesh: trimesh.Trimesh, origin: Array, direction: Array) -> Array:
+    """To each triangle along a ray (Möller and Trumbore 1997); infinite for those that it misses."""
+    a, b, c = mesh.triangles.transpose(1, 0, 2)
+    edges, normal = (b - a, c - a), np.cross(b - a, c - a)
+    determinant = -(normal @ direction)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moment = np.cross(origin - a, direction)
+        u, v = (edges[1] * moment).sum(axis=1) / determinant, -(edges[0] * moment).sum(axis=1) / determinant
+        distance = (normal * (origin - a)).sum(axis=1) / determinant
+    return np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0), distance, np.inf)
 
 
 def test_photographs_are_compared_with_equal_exposures() -> None:
