@@ -58,24 +58,28 @@ def carve_depths(
     device = first.inverse.device
     values = torch.from_numpy(volume.values).reshape(-1).to(device)
     near = torch.nonzero(values > -2 * spacing)[:, 0]
-    index = torch.stack([near // (size[1] * size[2]), near // size[2] % size[1], near % size[2]], dim=1).float()
+    # components in arrays of their own: torch is slow along a dimension of three
+    index = torch.stack([near // (size[1] * size[2]), near // size[2] % size[1], near % size[2]]).float()
     total, weight = torch.zeros(len(near), device=device), torch.zeros(len(near), device=device)
     for depth_map in chain([first], remaining):
         projection = depth_map.camera.intrinsics @ depth_map.camera.world_to_camera[:3]
         rotation = torch.from_numpy(projection[:, :3] * spacing).float().to(device)
         translation = torch.from_numpy(projection[:, :3] @ volume.origin + projection[:, 3]).float().to(device)
-        x, y, z = (index @ rotation.T + translation).unbind(1)
-        column, row = (x / z.clamp_min(1e-9)).floor(), (y / z.clamp_min(1e-9)).floor()
+        x, y, z = torch.addmm(translation[:, None], rotation, index)
+        depth = z.clamp_min(1e-9)
+        column, row = (x / depth).floor(), (y / depth).floor()
         height, width = depth_map.inverse.shape
         visible = torch.nonzero((z > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height))[:, 0]
-        at = (row[visible].long(), column[visible].long())
-        inverse, confidence = depth_map.inverse[at], depth_map.weight[at]
+        pixel = row.index_select(0, visible).long() * width + column.index_select(0, visible).long()
+        inverse = depth_map.inverse.reshape(-1).index_select(0, pixel)
         # positive behind the measured surface: inside the object
-        signed = z[visible] - 1 / inverse.clamp_min(1e-12)
-        counted = (inverse > 0) & (signed < behind * unit)
-        visible, signed, confidence = visible[counted], signed[counted], confidence[counted]
-        total[visible] += signed.clamp(-_TRUNCATION_VOXELS * unit, _TRUNCATION_VOXELS * unit) * confidence
-        weight[visible] += confidence
+        signed = z.index_select(0, visible) - 1 / inverse.clamp_min(1e-12)
+        counted = torch.nonzero((inverse > 0) & (signed < behind * unit))[:, 0]
+        visible, signed, pixel = (each.index_select(0, counted) for each in (visible, signed, pixel))
+        confidence = depth_map.weight.reshape(-1).index_select(0, pixel)
+        signed = signed.clamp(-_TRUNCATION_VOXELS * unit, _TRUNCATION_VOXELS * unit)
+        total.index_add_(0, visible, signed * confidence)
+        weight.index_add_(0, visible, confidence)
     known = weight >= min_weight
     values = values.clone()
     values[near[known]] = torch.minimum(values[near[known]], total[known] / weight[known])
