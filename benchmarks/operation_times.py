@@ -4,7 +4,7 @@
     python -m benchmarks.operation_times --table FILE
 
 Processor seconds of one thread, the fastest of `REPEATS`; run it alone on the machine. The plain form is written anew,
-but for the lobe of the BRDF and the points of the disc, and is the reference for the values: the largest difference, as
+but for lobes of the BRDF and the points of the disc, and is the reference for the values: the largest difference, as
 a share of the largest value.
 """
 
@@ -31,6 +31,12 @@ from hir_plugins.reflectance_renderers.transport_ggx.operator.camera_lamp import
     lamp_lobe,
     turned_disc,
 )
+from hir_plugins.reflectance_renderers.transport_ggx.operator.light_transport import build_transport
+from hir_plugins.reflectance_renderers.transport_ggx.operator.radiance_probes import (
+    PROBE_COLUMNS,
+    _lobes,
+    build_probes,
+)
 from hir_plugins.regularizers.laplacian import Laplacian
 from hir_plugins.regularizers.mesh_options import LaplacianOptions
 from tests.fixtures.scenes import icosphere, looking_at
@@ -43,7 +49,7 @@ Operation = tuple[str, Callable[[], Result], Callable[[], Result]]
 
 def operations() -> list[Operation]:
     """All of them, on inputs of usual sizes."""
-    return [laplacian(), dense_map(), outline_edges(), lamp()]
+    return [laplacian(), dense_map(), outline_edges(), lamp(), radiance_probes()]
 
 
 def laplacian() -> Operation:
@@ -165,6 +171,26 @@ def lamp() -> Operation:
         lambda: gradients(parts),
         lambda: gradients(ours),
     )
+
+
+def radiance_probes() -> Operation:
+    """The light in every lobe of a table of directions and widths, for each cell of a cache."""
+    transport = build_transport(icosphere(5), 40_000, 1_000, (64, 128), 32, "cpu")
+    seen, cells = (transport.diffuse.sky.matrix > 0).float(), len(transport.irradiance_cache)
+    generator = torch.Generator().manual_seed(0)
+    sky = torch.rand(seen.shape[1], 3, generator=generator)
+    leaving = torch.rand(cells, 3, generator=generator)
+    lobes = _lobes(32, 64, PROBE_COLUMNS).flatten(1).T.contiguous()
+
+    def plain() -> Result:
+        occluded = 1 - seen @ lobes
+        mean = leaving.mean(dim=0)  # no cell of a sphere sees another
+        return tuple((seen * sky[:, c]) @ lobes + occluded * mean[c] for c in range(3))
+
+    def ours() -> Result:
+        return build_probes(transport, sky, leaving).radiance.flatten(1, 2).float().unbind(2)
+
+    return f"light in lobes of 7 widths and 1,152 directions, {cells:,} cells", plain, ours
 
 
 def measured(operation: Operation) -> dict[str, Any]:

@@ -88,7 +88,8 @@ def test_a_light_that_is_linear_in_the_direction_is_looked_up_exactly(rho_s: flo
     mitsuba_on("cpu")
     toward_light = torch.tensor([0.6, -0.5, 0.62])
     sky = 1 + 0.8 * texel_directions(ROWS, 2 * ROWS) @ toward_light
-    filtered = (_lobes(ROWS) @ sky).reshape(1, ALPHA_LEVELS, PROBE_ROWS * PROBE_COLUMNS, 1)
+    lobes = _lobes(ROWS, 2 * ROWS, PROBE_COLUMNS).flatten(1)
+    filtered = (lobes @ sky).reshape(1, ALPHA_LEVELS, PROBE_ROWS * PROBE_COLUMNS, 1)
     probes = ProbeTable(RadianceProbes(filtered.expand(-1, -1, -1, 3).half()))
     for alpha in (0.15, 0.35, 0.7):
         for cosine in (0.15, 0.4, 0.7, 0.95):
