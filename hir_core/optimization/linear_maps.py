@@ -155,7 +155,9 @@ def compressed_sum(
     """A CSR tensor of entries in any order; those of one place are added."""
     _spend_beta_warning()
     entries = torch.sparse_coo_tensor(torch.stack([rows, columns]), values, size, check_invariants=False)
-    return entries.coalesce().to_sparse_csr()
+    found = entries.coalesce().to_sparse_csr()
+    # a product copies 64-bit indices to 32-bit ones each time, which takes as long as its arithmetic
+    return compressed(found.crow_indices().int(), found.col_indices().int(), found.values(), size)
 
 
 @cache
