@@ -43,9 +43,8 @@ class BlurredPhotograph:
         """Indices of the points (N, 3) inside the mask, and the colours there, whatever is in front of the points."""
         column, row, inside = self.pixels_of(points)
         index = np.flatnonzero(inside)
-        pixel = row[index] * self.camera.width + column[index]
-        masked = self.valid.reshape(-1)[pixel]
-        return index[masked], self.colors.reshape(-1, 3)[pixel[masked]]
+        index = index[self.valid[row[index], column[index]]]
+        return index, self.colors[row[index], column[index]]
 
     def seen(self, points: Array, surface: MeshQueries, lift: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Indices of the points (N, 3) that the photograph sees, and their colours there. `lift` is the distance from
