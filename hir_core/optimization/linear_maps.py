@@ -156,7 +156,7 @@ def compressed_sum(
     _spend_beta_warning()
     entries = torch.sparse_coo_tensor(torch.stack([rows, columns]), values, size, check_invariants=False)
     found = entries.coalesce().to_sparse_csr()
-    # a product copies 64-bit indices to 32-bit ones each time, which takes as long as its arithmetic
+    # a product copies 64-bit indices to 32-bit ones each time, which takes two thirds of the time of its arithmetic
     return compressed(found.crow_indices().int(), found.col_indices().int(), found.values(), size)
 
 

@@ -169,8 +169,8 @@ class PredictedPixels:
             rays.append(lifted_rays(points[chosen[index]], photograph.camera.center, lift))
             colors.append(shown)
         # one call for the rays of all photographs, because each call has a cost of its own
-        starts, toward = (np.concatenate(each) for each in zip(*rays, strict=True))
-        free = ~surface.occluded(starts, toward)
+        origins, toward = (np.concatenate(each) for each in zip(*rays, strict=True))
+        free = ~surface.occluded(origins, toward)
         index, color = np.concatenate(indices)[free], np.concatenate(colors)[free]
         count = np.bincount(index, minlength=len(points))
         total = np.stack([np.bincount(index, color[:, c], len(points)) for c in range(3)], axis=1)
