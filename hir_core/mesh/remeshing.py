@@ -132,7 +132,7 @@ def _normals(positions: Positions, faces: Faces) -> Positions:
     return np.where(length > 0, n / np.maximum(length, np.finfo(float).tiny), 0.0)
 
 
-# Vectors are (3, N) here: numpy is several times slower along a dimension of three.
+# Vectors are (3, N) here, because numpy is slower along a dimension of three.
 
 
 def _cross(a: Positions, b: Positions) -> Positions:

@@ -269,7 +269,7 @@ def test_predictions_of_all_pixels_together_are_those_of_each_alone() -> None:
     for i, chosen in pixels.items():
         expected = [_predicted_alone(mesh, photographs, i, pixel, lift, least) for pixel in chosen]
         np.testing.assert_allclose(found[i], expected, rtol=1e-3, atol=1e-6)
-        assert np.isfinite(expected).any() and np.isnan(expected).any() == np.isnan(found[i]).any()
+        assert np.isfinite(expected).any()
 
 
 def _predicted_alone(
