@@ -15,6 +15,9 @@ import numpy as np
 
 from hir_core.run.machine import usable_cores
 
+_GOLDEN_RATIO = 0x9E3779B9
+"""Its fractional part in 32 bits: multiples of it are far from each other."""
+
 
 def deterministic_requested() -> bool:
     """Must the current run be reproducible bit for bit?"""
@@ -51,5 +54,12 @@ def seed_everything(seed: int) -> None:
     import torch
 
     random.seed(seed)
-    np.random.seed(seed % (1 << 32))
-    torch.manual_seed(seed)
+    np.random.seed(folded_seed(seed))
+    torch.manual_seed(folded_seed(seed))
+
+
+def folded_seed(seed: int) -> int:
+    """32 bits of a seed of 64, all of which count: torch's generator of the CPU ignores the upper ones. Seeds below 2³²
+    stay.
+    """
+    return (seed + _GOLDEN_RATIO * (seed >> 32)) & 0xFFFFFFFF

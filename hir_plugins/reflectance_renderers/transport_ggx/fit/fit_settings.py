@@ -56,6 +56,11 @@ class FitSettings:
     refresh_interval: int = 15
     """Steps between updates of the specular matrices to the current α."""
     smoothness: SmoothnessWeights = field(default_factory=SmoothnessWeights)
+    albedo_entropy: float = 0.0
+    """Weight of the entropy of the albedo at the first step; it falls to 0 at the last one, so that the photographs
+    decide what light and albedo are in detail."""
+    seed: int = 0
+    """Of the vertices that are drawn for it."""
     huber_srgb: float = 0.1
     """Residual in sRGB from which the loss is linear."""
     known_light: bool = False
@@ -90,6 +95,8 @@ def settings_of_fit(
             albedo=options.albedo_smoothness,
             metalness_prior=options.metalness_prior,
         ),
+        albedo_entropy=0.0 if spec.light_is_known else options.albedo_entropy,
+        seed=options.seed,
     )
     if before is None:
         settings = replace(settings, exposure_frozen_share=1.0)

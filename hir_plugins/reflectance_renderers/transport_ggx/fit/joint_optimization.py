@@ -19,6 +19,7 @@ from torch import Tensor
 from hir_core.optimization.nonfinite_diagnostics import nonfinite_elements
 from hir_core.optimization.optimization_loop import optimize, warn_of_skipped_steps
 from hir_core.optimization.schedules import Schedule
+from hir_plugins.reflectance_renderers.transport_ggx.fit.albedo_entropy import albedo_entropy
 from hir_plugins.reflectance_renderers.transport_ggx.fit.final_albedo import solve_final_albedo
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_checkpoints import FitCheckpoint
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings
@@ -104,6 +105,9 @@ def fit(
             settings.smoothness, metalness_prior=settings.smoothness.metalness_prior * step / settings.steps
         )
         own = objective(transport, batch, matrices, parameters, replace(settings, smoothness=decided), edges)
+        if settings.albedo_entropy:
+            weight = settings.albedo_entropy * (1 - step / settings.steps)
+            own["entropy of the albedo"] = weight * albedo_entropy(parameters.diffuse, (settings.seed, step))
         regularizers = {} if prepared is None else prepared(parameters, step)
         fitted_loss = sum(float(term.detach()) for term in (own[PIXEL_TERM], *regularizers.values()))
         return own | regularizers

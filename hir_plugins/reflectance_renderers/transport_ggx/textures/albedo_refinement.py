@@ -16,6 +16,7 @@ from torch import Tensor
 from hir_core.mesh.texel_rasterization import dilate, texel_surface
 from hir_core.mesh.texture_inpainting import fill_unobserved
 from hir_core.plugins.interfaces import PreparedReflectance
+from hir_core.run.determinism import folded_seed
 from hir_core.scene import Material, Scene
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_terms import FitTerms
 from hir_plugins.reflectance_renderers.transport_ggx.operator.visible_surface import Surface, refined_mesh
@@ -88,7 +89,7 @@ class AlbedoRefinement:
             self._cached, self._cache = (traced, scene), {}
         if view not in self._cache:
             assert scene.material is not None and scene.environment is not None
-            torch.manual_seed(view + (self.seed << 32))
+            torch.manual_seed(folded_seed(view + (self.seed << 32)))
             light = scene.in_take(self.takes[view]).environment if self.takes else scene.environment
             assert light is not None
             radiance = traced.radiance(scene.material, light, rows.pixel.long())

@@ -18,6 +18,8 @@ from hir_core.scene import Scene
 from hir_core.stages.atlas import unwrap_mesh
 from hir_core.stages.reflectance.path_traced_refinement import refine_albedo
 from hir_core.stages.reflectance.reflectance_report import RefinementReport
+from hir_plugins.reflectance_renderers.transport_ggx.textures.albedo_refinement import AlbedoRefinement
+from hir_plugins.reflectance_renderers.transport_ggx.textures.texel_equations import TexelEquations
 from tests.fixtures.made_captures import (
     BROWN,
     PLUGINS,
@@ -100,6 +102,22 @@ def test_too_few_views_and_a_solver_without_refinement(shadowed: tuple[Scene, Ca
     assert same is truth and report == RefinementReport(False, 0, "too few views")
     same, report = compared(truth, scripted(None), capture, tmp_path)
     assert same is truth and not report.accepted and "closed form" in str(report.not_compared)
+
+
+def test_the_noise_of_the_path_tracer_depends_on_the_seed_of_the_run(shadowed: tuple[Scene, Capture]) -> None:
+    scene, _ = shadowed
+    assert scene.material is not None
+    albedo, one = torch.full((4, 4, 3), 0.5), torch.ones(6, 3)
+    index, weight = torch.arange(24).reshape(6, 4) % 16, torch.full((6, 4), 0.25)
+    pixel, clipped = torch.zeros(6, 3, dtype=torch.int32), torch.zeros(6, 3, dtype=torch.bool)
+    rows = TexelEquations(index, weight, one, one, 0 * one, one, clipped, pixel)
+    traced = cast(PreparedReflectance, SimpleNamespace(radiance=lambda *_: torch.rand(6, 3)))
+
+    def offset(seed: int) -> torch.Tensor:
+        return AlbedoRefinement([rows], seed)._corrected(rows, scene, traced, albedo, None).offset
+
+    assert torch.equal(offset(1), offset(1))
+    assert not torch.equal(offset(1), offset(2))
 
 
 @pytest.mark.parametrize(("cells", "accepted"), [(30, True), (800, False)])

@@ -195,6 +195,13 @@ def test_directions_of_a_lobe_are_even_on_a_disk(samples: int) -> None:
     torch.testing.assert_close(areas, torch.full((8,), 0.125), atol=1e-6, rtol=0)
 
 
+def test_each_bit_of_a_seed_changes_the_directions() -> None:
+    """Torch's generator ignores bits above 32, and the solver has the seed of the run there."""
+    seeds = [0, 1, 3, 1 << 31, 1 << 32, (1 << 32) + 1, 5 << 32, 1 << 40]
+    drawn = [spiral_points(8, 4, seed, torch.device("cpu")) for seed in seeds]
+    assert len({tuple(points.flatten().tolist()) for points in drawn}) == len(seeds)
+
+
 def test_pyramid_keeps_energy_and_white() -> None:
     pyramid = Pyramid(32, 64)
     light = torch.rand(32, 64, 3, generator=torch.Generator().manual_seed(0))

@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from hir_core.run.determinism import folded_seed
+
 TURN = (math.sqrt(5) - 1) / 2
 """Of a turn, from one direction of a lobe to the next: the inverse golden ratio."""
 
@@ -21,7 +23,7 @@ def spiral_points(count: int, samples: int, seed: int, device: torch.device) -> 
     """
     index = torch.arange(samples, dtype=torch.float64)
     turned = (index * TURN).remainder(1).float().to(device)
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(folded_seed(seed))
     shift = torch.rand(count, 1, 2, generator=generator, dtype=torch.float64).float().to(device)
     angle = turned + shift[..., 0]
     area = (index.float().to(device) + shift[..., 1]) / samples
