@@ -78,6 +78,7 @@ DEFAULT_VALUES = {
     "texel_prior_weight": DefaultValue(0.01, (0.003, 0.05), constant=f"{TEXTURES}:TEXEL_PRIOR_WEIGHT"),
     "light_whiteness": DefaultValue(1e-3, (0.0, 1e-2), "reflectance_renderer.transport_ggx.light_whiteness"),
     "light_smoothness": DefaultValue(1e-4, (1e-3, 1e-2), "reflectance_renderer.transport_ggx.light_smoothness"),
+    "albedo_entropy": DefaultValue(3e-5, (0.0, 1e-4), "reflectance_renderer.transport_ggx.albedo_entropy"),
     "max_fitted_f0": DefaultValue(0.08, (0.05, 0.2), constant=f"{FITS}:MAX_FITTED_F0"),
     "metal_reflectance": DefaultValue(0.9, (0.6, 0.8), constant=f"{FITS}.initial:METAL_REFLECTANCE"),
     "initial_mean_albedo": DefaultValue(0.3, (0.15, 0.6), constant="hir_core.stages.reflectance:INITIAL_MEAN_ALBEDO"),

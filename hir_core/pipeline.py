@@ -119,7 +119,7 @@ def reconstruct(
         )
         run_stages(state, runner, last_stage)
         records.finish()
-        if directory.scene.is_dir():
+        if directory.has_finished_scene:
             started, processor_started = time.perf_counter(), processor_seconds()
             if _write_report(directory, plugins, state.config.report_side, runner.reused, on_message):
                 seconds = time.perf_counter() - started

@@ -112,8 +112,12 @@ def open_finished_run(directory: RunDirectory, device: str | None = None) -> Fin
     Without `device` the scene is on the device that the run computed on, if PyTorch has it here, else on the processor.
     """
     document = directory.read_run()
-    if not directory.scene.is_dir():
-        raise InputError(f"{directory.path} has no finished scene; finish it with: hir reconstruct … --resume")
+    if not directory.has_finished_scene:
+        raise InputError(
+            f"{directory.path} has no finished scene"
+            + (", but one of an earlier call, whose fit was replaced" if directory.scene.is_dir() else "")
+            + "; finish it with: hir reconstruct … --resume"
+        )
     frames = _frames(document, str(directory.path / "run.json"))
     scene = move_scene(scene_from_asset(load_scene(directory.scene)), frames.working_from_asset)
     run = FinishedRun(directory, document, scene, frames)

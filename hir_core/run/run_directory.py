@@ -23,6 +23,9 @@ STAGE_NAMES: Final = ("initializer", "geometry", "atlas", "reflectance", "bake",
 """The stages in the order of a run; folders are numbered from 1."""
 LAST_STAGE: Final = STAGE_NAMES[-1]
 
+SCENE_STAGE: Final = "bake"
+"""Writes `RunDirectory.scene`."""
+
 RECORD: Final = "stage.json"
 WORKSPACE: Final = "work"
 """The entries of a stage's folder that are not its result."""
@@ -93,6 +96,13 @@ class RunDirectory:
             raise InputError(f"{self.path / 'run.json'} is no run: its format is {document.get('format')!r}")
         _check_version(self.path / "run.json", document)
         return document
+
+    @property
+    def has_finished_scene(self) -> bool:
+        """Whether `scene` is the result of the stages that run.json lists. It is not where the run was started again
+        and a stage before `bake` was computed anew, but `bake` not yet.
+        """
+        return self.scene.is_dir() and SCENE_STAGE in self.read_run().get("stages", {})
 
     def write_run(self, document: Mapping[str, Any]) -> None:
         """Replaces run.json."""

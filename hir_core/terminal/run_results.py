@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hir_core.run.run_directory import LAST_STAGE, SCENE_STAGE
+
 if TYPE_CHECKING:
     from hir_core.run.run_directory import RunDirectory
 
@@ -34,12 +36,18 @@ def decisions(document: Mapping[str, Any]) -> dict[str, str]:
 
 def show_summary(directory: RunDirectory) -> None:
     """Prints where the results are."""
-    for name, sentence in decisions(directory.read_run()).items():
+    document = directory.read_run()
+    for name, sentence in decisions(document).items():
         click.echo(f"{name:>8}  {sentence}")
-    lines = [("asset", directory.scene), ("files", directory.exports), ("report", directory.path / "report.html")]
-    for name, path in lines:
+    lines = [
+        ("asset", directory.scene, SCENE_STAGE),
+        ("files", directory.exports, LAST_STAGE),
+        ("report", directory.path / "report.html", SCENE_STAGE),
+    ]
+    for name, path, stage in lines:
         if path.exists():
-            click.echo(f"{name:>8}  {path}")
+            earlier = "" if stage in document.get("stages", {}) else " (of an earlier call; --resume finishes this one)"
+            click.echo(f"{name:>8}  {path}{earlier}")
     if directory.exports.is_dir():
         for file in sorted(directory.exports.iterdir()):
             click.echo(f"{'':>8}  {file.name}  {file.stat().st_size / 1e6:.2f} MB")
