@@ -46,8 +46,8 @@ class TransportGGXOptions:
     albedo_smoothness: float = takes_effect_with(1e-3, "solver")
     """Weight of differences of log albedo between neighbouring vertices while the light is fitted; robust to edges."""
     albedo_entropy: float = takes_effect_with(3e-5, "solver", "fitted light")
-    """Weight of the entropy of the albedo at the first step of a fit, 0 at its last one: it prefers few different
-    colours to an albedo that contains shading (docs/studies/albedo_entropy.md)."""
+    """Weight of the entropy of the albedo at the first step of each fit before the last one, 0 at its end: it prefers
+    few different colours to an albedo that contains shading (docs/studies/albedo_entropy.md)."""
     metalness_prior: float = takes_effect_with(1e-3, "solver")
     """Weight of 4·m·(1 − m), averaged over vertices, in the fit of metal and dielectric: it draws metalness m to 0 or
     to 1. The photographs' term is a mean of half squared sRGB errors."""

@@ -24,6 +24,10 @@ EXPOSURE_EFFORT = 1.0
 """Least effort of a fit that changes exposures which an earlier one had: in shorter ones, of a material that may be
 wrong, they would absorb its errors (docs/studies/exposures.md)."""
 
+ENTROPY_EFFORT = 1.0
+"""Effort of a fit from which the entropy of the albedo has no weight. Shorter fits come before it and lead light and
+albedo near the right ones; then the photographs alone decide (docs/studies/albedo_entropy.md)."""
+
 
 @dataclass(frozen=True)
 class FitSettings:
@@ -57,8 +61,7 @@ class FitSettings:
     """Steps between updates of the specular matrices to the current α."""
     smoothness: SmoothnessWeights = field(default_factory=SmoothnessWeights)
     albedo_entropy: float = 0.0
-    """Weight of the entropy of the albedo at the first step; it falls to 0 at the last one, so that the photographs
-    decide what light and albedo are in detail."""
+    """Weight of the entropy of the albedo at the first step; it falls to 0 at the last one."""
     seed: int = 0
     """Of the vertices that are drawn for it."""
     huber_srgb: float = 0.1
@@ -95,7 +98,7 @@ def settings_of_fit(
             albedo=options.albedo_smoothness,
             metalness_prior=options.metalness_prior,
         ),
-        albedo_entropy=0.0 if spec.light_is_known else options.albedo_entropy,
+        albedo_entropy=0.0 if spec.light_is_known or effort >= ENTROPY_EFFORT else options.albedo_entropy,
         seed=options.seed,
     )
     if before is None:

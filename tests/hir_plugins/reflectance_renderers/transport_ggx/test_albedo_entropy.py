@@ -10,6 +10,9 @@ import torch
 from hir_core.plugins.model_spec import ModelSpec
 from hir_plugins.reflectance_renderers.transport_ggx.fit import albedo_entropy as module
 from hir_plugins.reflectance_renderers.transport_ggx.fit.albedo_entropy import albedo_entropy
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import settings_of_fit
+from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import Parameters
+from hir_plugins.reflectance_renderers.transport_ggx.options import TransportGGXOptions
 from tests.hir_plugins.reflectance_renderers.transport_ggx.test_light_and_albedo import (
     log_albedo_deviation,
     solver_of,
@@ -59,6 +62,16 @@ def test_shading_is_attributed_to_the_light() -> None:
     deviations = []
     for weight in (3e-5, 0.0):
         solver, middle = solver_of(albedo_entropy=weight, albedo_smoothness=0.0)
-        fit = solver.fit(ModelSpec(), None, range(6), 1.0, lambda _: None)
+        fit = solver.fit(ModelSpec(), None, range(6), 0.9, lambda _: None)
         deviations.append(log_albedo_deviation(fit.parameters, middle))
     assert deviations[0] < 0.9 * deviations[1], deviations
+
+
+@pytest.mark.parametrize(
+    ("effort", "known", "acts"), [(0.4, False, True), (0.4, True, False), (1.0, False, False), (2.0, False, False)]
+)
+def test_it_acts_before_the_last_fit_under_an_unknown_light(effort: float, known: bool, acts: bool) -> None:
+    options, spec = TransportGGXOptions(), ModelSpec(light_is_known=known)
+    start = Parameters(torch.zeros(2, 4, 3), torch.zeros(5, 3), None, None)
+    settings = settings_of_fit(options, spec, start, None, effort, guess_is_uniform=True)
+    assert settings.albedo_entropy == (options.albedo_entropy if acts else 0)
