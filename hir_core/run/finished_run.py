@@ -113,10 +113,10 @@ def open_finished_run(directory: RunDirectory, device: str | None = None) -> Fin
     """
     document = directory.read_run()
     if not directory.has_finished_scene:
+        earlier = ": its latest call ended before the stage bake, and scene/ is of an earlier one"
         raise InputError(
-            f"{directory.path} has no finished scene"
-            + (", but one of an earlier call, whose fit was replaced" if directory.scene.is_dir() else "")
-            + "; finish it with: hir reconstruct … --resume"
+            f"{directory.path} has no finished scene{earlier if directory.scene.is_dir() else ''}; "
+            "finish it with: hir reconstruct … --resume"
         )
     frames = _frames(document, str(directory.path / "run.json"))
     scene = move_scene(scene_from_asset(load_scene(directory.scene)), frames.working_from_asset)

@@ -99,8 +99,8 @@ class RunDirectory:
 
     @property
     def has_finished_scene(self) -> bool:
-        """Whether `scene` is the result of the stages that run.json lists. It is not where the run was started again
-        and a stage before `bake` was computed anew, but `bake` not yet.
+        """Whether `scene` is the result of the stages that run.json lists. It is of an earlier call where the latest
+        one ended before `bake`: the fit may be another one since then.
         """
         return self.scene.is_dir() and SCENE_STAGE in self.read_run().get("stages", {})
 

@@ -45,7 +45,7 @@ def test_the_scene_of_an_earlier_fit_is_refused_until_the_run_is_finished_again(
     page = (run / "report.html").read_bytes()
     quick(tiny_capture, run, "atlas.texture_size=32", deterministic=True, resume=True, until="atlas")
     assert (run / "scene").is_dir() and (run / "report.html").read_bytes() == page, "nothing is lost"
-    with pytest.raises(InputError, match="of an earlier call, whose fit was replaced; finish it with: hir reconstruct"):
+    with pytest.raises(InputError, match="scene/ is of an earlier one; finish it with: hir reconstruct"):
         open_finished_run(RunDirectory(run))
     quick(tiny_capture, run, "atlas.texture_size=32", deterministic=True, resume=True)
     material = open_finished_run(RunDirectory(run)).scene.material

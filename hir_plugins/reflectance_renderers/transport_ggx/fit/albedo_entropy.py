@@ -1,4 +1,4 @@
-"""Prior of the albedo: objects have few different colours, so what many places have in common is their albedo.
+"""Prior of the albedo: objects have few different colours.
 
 Neighbouring vertices alone do not tell a slow change of the albedo from shading. A light that is wrong leaves shading
 in the albedo, and with it more different values than the true one has (Barron and Malik 2015, "parsimony").
@@ -13,8 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-WIDTH = 0.1
-"""Standard deviation of the kernel, in the logarithm of the albedo: values this far apart count as one."""
+BANDWIDTH = 0.1
+"""Of the kernel density of the albedo's logarithm: values this far apart count as one."""
 MIN_LOG_ALBEDO = -7.0
 """Albedos below a thousandth are one value: black."""
 SAMPLED_VERTICES = 1024
@@ -22,7 +22,7 @@ SAMPLED_VERTICES = 1024
 
 
 def albedo_entropy(logit: Float[Tensor, "V 3"], seed: tuple[int, int]) -> Float[Tensor, ""]:
-    """Rényi's quadratic entropy, −log of the mean of exp(−|aᵢ − aⱼ|² / 4·WIDTH²) over pairs of sampled vertices.
+    """Rényi's quadratic entropy, −log of the mean of exp(−|aᵢ − aⱼ|² / 4·BANDWIDTH²) over pairs of sampled vertices.
 
     `logit`: logits of the albedo a, whose logarithm is compared. `seed`: of the fit, and the number of the step. 0
     where all albedos are equal.
@@ -30,7 +30,7 @@ def albedo_entropy(logit: Float[Tensor, "V 3"], seed: tuple[int, int]) -> Float[
     count = min(SAMPLED_VERTICES, len(logit))
     rows = torch.from_numpy(np.random.default_rng(seed).integers(len(logit), size=count)).to(logit.device)
     log_albedo = torch.nn.functional.logsigmoid(logit.index_select(0, rows)).clamp_min(MIN_LOG_ALBEDO)
-    entropy: Tensor = _QuadraticEntropy.apply(log_albedo / WIDTH)
+    entropy: Tensor = _QuadraticEntropy.apply(log_albedo / BANDWIDTH)
     return entropy
 
 
