@@ -45,7 +45,7 @@ class TransportGGXOptions:
     shading. A known light always uses the second."""
     albedo_smoothness: float = takes_effect_with(1e-3, "solver")
     """Weight of differences of log albedo between neighbouring vertices while the light is fitted; robust to edges."""
-    albedo_entropy: float = takes_effect_with(3e-5, "solver", "fitted light")
+    albedo_entropy: Annotated[float, Interval(ge=0, le=1)] = takes_effect_with(3e-5, "solver", "fitted light")
     """Weight of the entropy of the albedo at the first step of each fit before the last one, 0 at its end: it prefers
     few different colours to an albedo that contains shading (docs/studies/albedo_entropy.md)."""
     metalness_prior: float = takes_effect_with(1e-3, "solver")
