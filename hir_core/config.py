@@ -13,7 +13,7 @@ from annotated_types import Interval
 from hir_exporters.files.regular_files import refuse_special_file
 
 from hir_core.errors import ConfigError, InputError
-from hir_core.plugins.options import build_options
+from hir_core.plugins.options import MAX_SEED, build_options
 
 if TYPE_CHECKING:
     from hir_core.plugins.manager import PluginManager
@@ -28,8 +28,6 @@ MAX_SETTINGS_DOTS = 5_000
 MAX_SETTINGS_DEPTH = 32
 """Settings are a few tables deep; a far deeper file would exceed Python's recursion limit."""
 
-
-MAX_SEED = (1 << 31) - 1
 
 DEFAULT_PRESET = "default_preset"
 """Key of a preset's file: `true` in the preset that is used where none is named."""
@@ -251,8 +249,8 @@ class RunConfig:
     """Formats that the run writes."""
     device: str = "auto"
     """`cpu`, `cuda`, or `auto`: `cuda` if there is a CUDA device."""
-    seed: int = 0
-    """Seed of all random numbers, 0 to 2147483647: another one gives another result of the same expected quality."""
+    seed: Annotated[int, Interval(ge=0, le=MAX_SEED)] = 0
+    """Seed of all random numbers: another one gives another result of the same expected quality."""
     deterministic: bool = False
     """Reproduce files bit for bit for the same input, seed and machine; slower, partly on one thread."""
     max_memory: str = ""
@@ -298,8 +296,6 @@ def load_config(
     if "export" not in settings:
         raise ConfigError(f"the preset {preset!r} does not set export; set it to a list of formats, [] for none")
     config = build_options(RunConfig, settings, "settings")
-    if not 0 <= config.seed <= MAX_SEED:
-        raise ConfigError(f"settings: option 'seed' is {config.seed}; give a number from 0 to {MAX_SEED}")
     for name in config.plugins:
         plugins.register_named(name)
     _check_components(config, plugins)

@@ -225,5 +225,5 @@ class EnvironmentConfig(HarmonicsConfig):
 class CubemapConfig(HarmonicsConfig):
     """Options of the environment as a prefiltered cubemap, .ktx."""
 
-    size: int = 256
+    size: int = _number(256, 16, 4096)
     """Side of the first level in pixels, a power of two; the last level, 16 pixels, is for roughness 1."""

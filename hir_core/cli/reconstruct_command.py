@@ -8,7 +8,8 @@ from typing import Any, get_args
 
 import click
 
-from hir_core.config import MAX_SEED, ModelName
+from hir_core.config import ModelName
+from hir_core.plugins.options import MAX_SEED
 from hir_core.run.run_directory import STAGE_NAMES
 from hir_core.terminal.command_options import FOLDER, plugin_option, settings_options, verbosity_options
 from hir_core.terminal.required_packages import require_reconstruction_packages

@@ -22,6 +22,8 @@ Options = TypeVar("Options")
 Default = TypeVar("Default")
 SEED_OF_RUN, DEVICE_OF_RUN = "seed_of_run", "device_of_run"
 """Keys of a field's metadata."""
+MAX_SEED = (1 << 31) - 1
+"""Of a run and of a component; the smallest is 0."""
 Condition = Literal["solver", "fitted light"]
 """What an option of a reflectance renderer needs to take effect: the fit by its solver, or a light that is fitted."""
 
@@ -37,8 +39,8 @@ def takes_effect_with(default: Default, *conditions: Condition) -> Default:
 def seed_of_run() -> int:
     """A dataclass field `seed: int` of options: the run's seed (`--seed`), where the user gives the component no other.
 
-    Outside of a run it is 0. A component that draws from generators of its own declares it, and seeds them from it; the
-    generators of `random`, numpy and torch are seeded before each stage.
+    Outside of a run it is 0; a negative one is refused. A component that draws from generators of its own declares it,
+    and seeds them from it; the generators of `random`, numpy and torch are seeded before each stage.
     """
     return field(default=0, metadata={SEED_OF_RUN: True})
 
@@ -81,6 +83,9 @@ def build_options(kind: type[Options], values: Mapping[str, Any], owner: str, be
         raise ConfigError(f"{owner}: {_sentence(error, kind, beside)}") from None
     except TypeError as error:
         raise ConfigError(f"{owner}: {error}") from None
+    for name in _fields_with(kind, SEED_OF_RUN):
+        if not 0 <= getattr(checked, name) <= MAX_SEED:
+            raise ConfigError(f"{owner}: option {name!r} is {getattr(checked, name)}; it must be 0 … {MAX_SEED}")
     # the checked object belongs to a subclass made by pydantic: components get the plain dataclass they declared
     return kind(**{name: getattr(checked, name) for name in getattr(kind, "__dataclass_fields__", {})})
 
@@ -98,6 +103,8 @@ def options_schema(kind: type) -> dict[str, Any]:
         for name, described_option in described.get("properties", {}).items():
             if "description" in described_option:
                 schema["properties"][name]["description"] = described_option["description"]
+    for name in _fields_with(kind, SEED_OF_RUN):
+        schema["properties"][name] |= {"minimum": 0, "maximum": MAX_SEED}
     _add_units(kind, schema, schema)
     return schema
 
@@ -107,10 +114,10 @@ def range_and_unit(entry: Mapping[str, Any]) -> str:
     low, high = entry.get("minimum"), entry.get("maximum")
     above, below = entry.get("exclusiveMinimum"), entry.get("exclusiveMaximum")
     if low is not None and high is not None:
-        limits = f"{low:g} … {high:g}"
+        limits = f"{low:.10g} … {high:.10g}"
     else:
         bounds = [("≥", low), (">", above), ("≤", high), ("<", below)]
-        limits = " and ".join(f"{sign} {value:g}" for sign, value in bounds if value is not None)
+        limits = " and ".join(f"{sign} {value:.10g}" for sign, value in bounds if value is not None)
     return f"{limits} {entry.get('unit', '')}".strip()
 
 

@@ -14,20 +14,20 @@ from hir_core.plugins.options import device_of_run, seed_of_run
 class VisualHullOptions:
     """Options of the visual hull."""
 
-    pixels_per_voxel: float = 2.0
+    pixels_per_voxel: Annotated[float, Interval(gt=0), Unit("pixels")] = 2.0
     """Side of a voxel, in pixels of the photographs at the object's distance."""
-    max_resolution: int = 256
-    """Maximum number of voxels along the longest side of the object's box, 16 to 1024."""
-    tolerated_views: int = 0
+    max_resolution: Annotated[int, Interval(ge=16, le=1024), Unit("voxels")] = 256
+    """Maximum number of voxels along the longest side of the object's box."""
+    tolerated_views: Annotated[int, Interval(ge=0)] = 0
     """A point is carved away only when more than this many masks show background there."""
-    min_views: int = 0
+    min_views: Annotated[int, Interval(ge=0)] = 0
     """Points in fewer photographs than this are background; 0 means half of the largest number of photographs that show
     any point of the object."""
     drop_bad_views: bool = True
     """Do not use masks that contradict nearly all others. A warning names them."""
-    min_component: float = 0.02
+    min_component: Annotated[float, Interval(ge=0, le=1)] = 0.02
     """Connected components with less than this share of the largest component's area are removed."""
-    edge_pixels: float = 2.5
+    edge_pixels: Annotated[float, Interval(ge=0), Unit("pixels")] = 2.5
     """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     unseen_surface: Literal["membrane", "hull"] = "membrane"
     """Surface that no photograph shows. `membrane` spans it between surface that photographs show, where the hull has
@@ -58,7 +58,7 @@ class CameraRefinementOptions:
     """How many times the hull and all poses are fitted to each other in turn."""
     max_image_size: Annotated[int, Interval(ge=64), Unit("pixels")] = 1600
     """For features, photographs are reduced by a whole factor until their longer side is at most this."""
-    threads: int = -1
+    threads: Annotated[int, Interval(ge=-1)] = -1
     """Of feature matching and bundle adjustment; -1 uses all."""
     seed: int = seed_of_run()
     """Seed of the random trials of matching; the run's, unless it is set."""
@@ -112,9 +112,9 @@ class ColmapOptions:
     known_cameras: Literal["triangulate", "solve"] = "triangulate"
     """For a capture whose photographs all have cameras: `triangulate` keeps the cameras and triangulates points,
     `solve` estimates new cameras."""
-    max_image_size: int = 1600
+    max_image_size: Annotated[int, Interval(ge=64), Unit("pixels")] = 1600
     """Photographs are reduced by a whole factor until their longer side is at most this, in pixels."""
-    max_features: int = 4096
+    max_features: Annotated[int, Interval(ge=1)] = 4096
     """Features per photograph in the first attempt; later attempts use twice as many."""
     matching: Literal["auto", "exhaustive", "sequential", "vocabulary"] = "auto"
     """Which pairs of photographs are matched. `auto`: all pairs up to 150 photographs (300 of several takes), above
@@ -127,7 +127,7 @@ class ColmapOptions:
     camera_model: Literal["PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = "SIMPLE_RADIAL"
     """COLMAP's name of the lens model to estimate. The distortion of `SIMPLE_RADIAL` is left out where it does not
     lower the reprojection error: it would be compensated by a wrong focal length."""
-    focal_length: float = 0.0
+    focal_length: Annotated[float, Interval(ge=0), Unit("pixels")] = 0.0
     """In pixels of the photographs; 0 takes it from EXIF, or assumes 1.2 times the longer side."""
     refine_intrinsics: bool = True
     """Estimate the focal length and the lens; otherwise the initial values are kept."""
@@ -135,20 +135,20 @@ class ColmapOptions:
     """Use only features inside the masks, if there are masks: the static background of a turntable misleads."""
     retry: bool = True
     """Try again with more features if the photographs do not register in one model."""
-    min_registered_share: float = 0.9
+    min_registered_share: Annotated[float, Interval(ge=0, le=1)] = 0.9
     """Share of the photographs in one model above which no further attempt is made."""
-    object_size: float = 1.0
+    object_size: Annotated[float, Interval(gt=0), Unit("m")] = 1.0
     """Length of the object's longest side in metres, used if neither a scale bar nor GPS gives the scale."""
     scale_bar: str = ""
     """A text file that marks both ends of a known length in photographs, one line `photograph end x y` per mark, such
     as `IMG_0012 a 811.5 402`. `end` is a or b; x and y are pixels from the upper left corner. Each end needs marks in
     at least two photographs. The path is relative to the capture."""
-    scale_bar_length: float = 0.0
+    scale_bar_length: Annotated[float, Interval(ge=0), Unit("m")] = 0.0
     """Distance between the two ends in metres."""
     gps: bool = True
     """Take the scale from the GPS positions of the photographs if its standard error is at most 5 %: true for drones
     and buildings, not for tables."""
-    threads: int = -1
+    threads: Annotated[int, Interval(ge=-1)] = -1
     """-1 uses all."""
     seed: int = seed_of_run()
     """Seed of the random trials of matching, mapping and scale; the run's, unless it is set."""
@@ -158,7 +158,7 @@ class ColmapOptions:
 class FiducialMarkersOptions:
     """Options of printed markers of known size."""
 
-    side: float = 0.0
+    side: Annotated[float, Interval(ge=0), Unit("m")] = 0.0
     """Side of a marker's black square in metres; all markers have the same. Required."""
     dictionary: Literal[
         "auto",
@@ -176,7 +176,7 @@ class FiducialMarkersOptions:
     level: bool = True
     """Turn the world so that the table on which the markers lie is horizontal. Not done where they do not lie in one
     plane, or where that is more than 45 degrees from the horizontal."""
-    paper_reflectance: float = 0.85
+    paper_reflectance: Annotated[float, Interval(ge=0, le=1)] = 0.85
     """Of the bare paper of a card from `hir card`, 0.02 to 1: it gives the scale between albedo and light, and their
     colour. 0 takes no brightness from the card. Office paper has 0.8 to 0.9."""
 
@@ -196,20 +196,20 @@ class StereoOptions:
     method: Literal["auto", "sweep", "patch_match"] = "auto"
     """`sweep` is our own, for any processor or GPU. `patch_match` is COLMAP's and needs a COLMAP built with CUDA.
     `auto` prefers `patch_match`. run.json records which was used."""
-    max_image_size: int = 400
+    max_image_size: Annotated[int, Interval(ge=32), Unit("pixels")] = 400
     """Photographs are reduced by a whole factor until their longer side is at most this, in pixels."""
-    max_photographs: int = 48
+    max_photographs: Annotated[int, Interval(ge=2)] = 48
     """At most this many photographs are used, those whose directions cover the others' best: time grows with them. Each
     take has a share in proportion to its photographs."""
-    levels: int = 2
+    levels: Annotated[int, Interval(ge=1, le=6)] = 2
     """Number of coarse-to-fine levels. Each doubles the resolution and starts from the surface of the previous one."""
-    neighbours: int = 6
+    neighbours: Annotated[int, Interval(ge=1)] = 6
     """Number of photographs of its take that each one is compared with; four more verify the result."""
-    steps: int = 64
+    steps: Annotated[int, Interval(ge=4)] = 64
     """Maximum number of depth hypotheses per pixel at the first level."""
-    window: int = 7
+    window: Annotated[int, Interval(ge=3), Unit("pixels")] = 7
     """Side of the compared windows in pixels, odd."""
-    min_views: int = 2
+    min_views: Annotated[int, Interval(ge=1)] = 2
     """Number of neighbours that must confirm a depth."""
     verify_carving: bool = True
     """Undo the carving where the photographs do not match better along the carved surface, and where its brightness
@@ -218,11 +218,11 @@ class StereoOptions:
     """`hull` carves the measured depths out of the surface of an earlier initializer, or out of the visual hull.
     `poisson` fits a closed surface to the points, `tsdf` an open one to the depths. `auto`: `hull` if there are masks
     or a surface, else `poisson`."""
-    pixels_per_voxel: float = 2.0
+    pixels_per_voxel: Annotated[float, Interval(gt=0), Unit("pixels")] = 2.0
     """Side of a voxel, in pixels of the photographs at the object's distance."""
-    max_resolution: int = 256
-    """Maximum number of voxels along the longest side of the object's box, 16 to 1024."""
-    edge_pixels: float = 2.5
+    max_resolution: Annotated[int, Interval(ge=16, le=1024), Unit("voxels")] = 256
+    """Maximum number of voxels along the longest side of the object's box."""
+    edge_pixels: Annotated[float, Interval(ge=0), Unit("pixels")] = 2.5
     """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs in which they are visible."""
@@ -258,13 +258,13 @@ class HollowsOptions:
 class PoissonOptions:
     """Options of screened Poisson reconstruction (Kazhdan & Hoppe 2013, open3d)."""
 
-    depth: int = 0
+    depth: Annotated[int, Interval(ge=0, le=16)] = 0
     """Depth of the octree; 0 derives it from the number of points."""
-    trim: float = 0.02
+    trim: Annotated[float, Interval(ge=0, lt=1)] = 0.02
     """Share of the vertices to remove, those with the lowest point density; 0 keeps the surface closed."""
-    min_component: float = 0.05
+    min_component: Annotated[float, Interval(ge=0, le=1)] = 0.05
     """Connected components with less than this share of the largest component's area are removed."""
-    edge_pixels: float = 2.5
+    edge_pixels: Annotated[float, Interval(ge=0), Unit("pixels")] = 2.5
     """Edge length of the mesh, in pixels at the object's distance; 0 keeps the extracted triangles."""
     vertex_colors: bool = True
     """Colour the vertices from the photographs in which they are visible."""

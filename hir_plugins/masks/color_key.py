@@ -9,7 +9,7 @@ from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 from numpy.typing import NDArray
 
 from hir_core.capture import Capture
-from hir_core.errors import CaptureError, ConfigError
+from hir_core.errors import CaptureError
 from hir_core.plugins.interfaces import MaskSource
 from hir_plugins.masks.options import ColorKeyOptions
 
@@ -24,8 +24,6 @@ class ColorKey(MaskSource):
     """Pixels that differ from the background's colour, and pixels that they enclose."""
 
     def __init__(self, config: ColorKeyOptions) -> None:
-        if not config.tolerance > 0:
-            raise ConfigError(f"mask_source.color_key.tolerance is {config.tolerance}; use a positive number")
         self._config = config
 
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:

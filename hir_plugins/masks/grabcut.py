@@ -11,7 +11,6 @@ from hir_exporters.conventions import linear_to_srgb
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera, Capture, Pixels
-from hir_core.errors import ConfigError
 from hir_core.plugins.interfaces import MaskSource
 from hir_plugins.masks.object_region import consistent_points, draw_discs, object_points
 from hir_plugins.masks.options import GrabCutOptions
@@ -28,8 +27,6 @@ class GrabCut(MaskSource):
     """GrabCut initialised by discs around the object's points, repeated inside the consistent region of all views."""
 
     def __init__(self, config: GrabCutOptions) -> None:
-        if config.iterations < 1:
-            raise ConfigError(f"mask_source.grabcut.iterations is {config.iterations}; it must be 1 or more")
         self._config = config
 
     def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:

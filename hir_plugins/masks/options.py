@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from annotated_types import Interval, Unit
 
 from hir_core.plugins.options import seed_of_run
 
@@ -25,7 +27,7 @@ class ColorKeyOptions:
 
     color: Literal["auto", "black", "white", "green", "blue"] = "auto"
     """The background's colour; `auto` takes the colour of the photographs' borders."""
-    tolerance: float = 0.06
+    tolerance: Annotated[float, Interval(gt=0)] = 0.06
     """Distance from that colour in sRGB (0 to 1.7) below which a pixel is background."""
 
 
@@ -33,15 +35,15 @@ class ColorKeyOptions:
 class GrabCutOptions:
     """Options of GrabCut, initialised by reconstructed points."""
 
-    max_image_size: int = 640
+    max_image_size: Annotated[int, Interval(ge=32), Unit("pixels")] = 640
     """GrabCut runs on photographs reduced to about this longer side; the edge is refined at full resolution."""
-    rounds: int = 2
+    rounds: Annotated[int, Interval(ge=0)] = 2
     """Number of times the masks are made consistent by their visual hull and cut again."""
-    iterations: int = 2
+    iterations: Annotated[int, Interval(ge=1)] = 2
     """Iterations of each cut: the colours of object and background are learnt, then the photograph is cut by them."""
-    margin: float = 0.25
+    margin: Annotated[float, Interval(ge=0)] = 0.25
     """Largest distance of the object from the reconstructed points in the first cut, relative to their radius."""
-    agreement: float = 0.8
+    agreement: Annotated[float, Interval(ge=0, le=1)] = 0.8
     """A point is object if at least this share of the photographs that show it have object there."""
     seed: int = seed_of_run()
     """Seed of the clusters that the colour models start from; the run's, unless it is set."""

@@ -148,7 +148,8 @@ def _surface(
 def rerender_of_run(
     run: Path, asset: Asset, plugins: PluginManager, placement: NDArray[np.float64]
 ) -> tuple[Rerender | None, str]:
-    """The `Rerender` of a finished run; or None and the reason: no run, no light, missing packages, no cameras.
+    """The `Rerender` of a finished run; or None and the reason: no run, no light, missing packages, a scene of an
+    earlier call, no cameras.
 
     `placement` is the matrix (4, 4) by which the asset was scaled and moved after it was read from the run.
     """
@@ -165,6 +166,8 @@ def rerender_of_run(
     from hir_core.run.run_directory import RunDirectory
     from hir_core.stages.export.export_rerendering import Rerender
 
+    if not RunDirectory(run).has_finished_scene:
+        return None, "the run is not finished: its settings may be others than those of its scene"
     opened = open_finished_run(RunDirectory(run))
     cameras = read_cameras(opened.directory.cameras)
     if not cameras:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hir_core.config import MAX_SEED
 from hir_core.errors import InputError
+from hir_core.plugins.options import MAX_SEED
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 from hir_core.terminal.required_packages import require_reconstruction_packages
 from hir_core.terminal.run_results import show_summary

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from hir_core.capture import Array, Capture, OrientedPoints
-from hir_core.errors import CaptureError, MissingExtraError, StageError
+from hir_core.errors import CaptureError, ConfigError, MissingExtraError, StageError
 from hir_core.optimization.parallel_jobs import StopSignal, run_in_parallel
 from hir_core.plugins.interfaces import Initializer
 from hir_core.scene import Scene
@@ -77,10 +77,8 @@ class Stereo(Initializer):
     """Depth of each photograph, confirmed by others; a surface from hull and depths, or from depths alone."""
 
     def __init__(self, config: StereoOptions) -> None:
-        if config.window % 2 == 0 or config.window < 3:
-            raise CaptureError(f"initializer.stereo.window is {config.window}; use an odd number of at least 3")
-        if not 1 <= config.levels <= 6 or config.max_image_size < 32:
-            raise CaptureError("initializer.stereo needs 1 to 6 levels and a max_image_size of at least 32")
+        if config.window % 2 == 0:
+            raise ConfigError(f"initializer.stereo.window is {config.window}; use an odd number")
         if config.method == "patch_match" and not patch_match_available():
             raise MissingExtraError(
                 "initializer.stereo.method is patch_match, which needs a COLMAP built with CUDA; "

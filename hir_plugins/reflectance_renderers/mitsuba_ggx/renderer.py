@@ -11,7 +11,7 @@ from torch import Tensor
 
 from hir_core.capture import Camera, Capture
 from hir_core.capture.capture_size import CaptureSize
-from hir_core.errors import ConfigError, StageError
+from hir_core.errors import StageError
 from hir_core.plugins.interfaces import ReflectanceRenderer
 from hir_core.scene import Mesh, Scene
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
@@ -34,11 +34,6 @@ class MitsubaGGX(ReflectanceRenderer):
     """Path tracing of the two BRDF models: unbiased values, and unbiased derivatives to material and light."""
 
     def __init__(self, config: MitsubaGGXOptions) -> None:
-        for name in ("samples", "render_samples"):
-            if getattr(config, name) < 1:
-                raise ConfigError(f"reflectance_renderer.mitsuba_ggx.{name} must be at least 1")
-        if not 2 <= config.max_depth <= 16:
-            raise ConfigError("reflectance_renderer.mitsuba_ggx.max_depth must lie in 2 … 16 (2: direct light only)")
         self._config = config
         self._cached: tuple[Mesh, Surface] | None = None
 

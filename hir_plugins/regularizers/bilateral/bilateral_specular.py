@@ -11,7 +11,7 @@ from torch import Tensor
 from hir_core.errors import StageError
 from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Scene
-from hir_plugins.regularizers.bilateral.bilateral_term import BilateralEnergy, refuse_empty_widths, surface_filter
+from hir_plugins.regularizers.bilateral.bilateral_term import BilateralEnergy, surface_filter
 from hir_plugins.regularizers.material_options import BilateralSpecularOptions
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ class BilateralSpecular(Regularizer):
     """
 
     def __init__(self, config: BilateralSpecularOptions) -> None:
-        refuse_empty_widths("bilateral_specular", config)
         self._config = config
 
     def prepare(self, scene: Scene) -> Energy:

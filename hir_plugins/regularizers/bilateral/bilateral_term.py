@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, final
 
@@ -11,7 +11,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from hir_core.errors import ConfigError
 from hir_core.scene import Mesh, Scene
 from hir_plugins.regularizers.bilateral.bilateral_grid import Cubes, cubes_of
 from hir_plugins.regularizers.bilateral.bilateral_pairs import absolute_deviation_of_pairs
@@ -88,12 +87,3 @@ def _by_grid(cubes: Cubes, edge: float, guide: Tensor, values: Tensor) -> tuple[
         return absolute_deviation(cubes, guide, values, edge)
     total, deviations = absolute_deviation(cubes, guide, values.mean(dim=1, keepdim=True), edge)
     return channels * total, deviations.expand(-1, channels)
-
-
-def refuse_empty_widths(name: str, config: BilateralOptions) -> None:
-    """`ConfigError` for a width of 0, which would divide by 0."""
-    for field in fields(config):
-        if (field.name.startswith("sigma") or field.name in ("cutoff", "cell_size")) and getattr(
-            config, field.name
-        ) <= 0:
-            raise ConfigError(f"regularizer {name}: {field.name} must be greater than 0")

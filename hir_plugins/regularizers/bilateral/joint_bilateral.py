@@ -13,7 +13,7 @@ from torch import Tensor
 from hir_core.errors import StageError
 from hir_core.plugins.interfaces import Regularizer
 from hir_core.scene import Material, Scene
-from hir_plugins.regularizers.bilateral.bilateral_term import BilateralEnergy, refuse_empty_widths, surface_filter
+from hir_plugins.regularizers.bilateral.bilateral_term import BilateralEnergy, surface_filter
 from hir_plugins.regularizers.material_options import JointBilateralOptions
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ class JointBilateral(Regularizer):
     """
 
     def __init__(self, config: JointBilateralOptions) -> None:
-        refuse_empty_widths("joint_bilateral", config)
         self._config = config
         self._widths = {
             "diffuse_albedo": config.sigma_diffuse,

@@ -18,6 +18,7 @@ from hir_exporters.scene_format import save_scene
 from hir_exporters.textures.image_files import write_png
 
 from hir_core.cli.export_command import parse_lods
+from hir_core.run.run_directory import RunDirectory
 from tests.fixtures.command_line import hir
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -47,6 +48,21 @@ def test_a_mesh_with_textures(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     back = read_gltf(tmp_path / "out" / "plate.glb")
     np.testing.assert_allclose(back.surface.roughness, 0.3, atol=1e-6)
     np.testing.assert_allclose(back.corner_uvs[0], [[0, 1], [1, 1], [0, 0]])
+
+
+def test_a_scene_of_an_earlier_call_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_scene(plate(), tmp_path / "scene")
+    run = RunDirectory(tmp_path)
+    run.write_run({"stages": {"geometry": {}}})
+    assert hir("export", tmp_path, "-f", "obj", "-o", tmp_path / "out") == 0
+    shown = capsys.readouterr()
+    assert "the scene of an earlier one; finish the run with" in shown.err and "plate.obj" in shown.out
+    run.write_run({"stages": {"geometry": {}, "bake": {}}})
+    assert hir("export", tmp_path, "-f", "obj", "--no-verify", "-o", tmp_path / "out") == 0
+    assert "earlier" not in capsys.readouterr().err
+    (tmp_path / "run.json").write_text("{")
+    assert hir("export", tmp_path, "-f", "obj", "-o", tmp_path / "other") == 2
+    assert "run.json" in capsys.readouterr().err and not (tmp_path / "other").exists()
 
 
 def test_short_options_reach_the_formats_that_have_them(tmp_path: Path) -> None:

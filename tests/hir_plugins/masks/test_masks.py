@@ -12,7 +12,7 @@ from PIL import Image
 
 from hir_core.capture import Capture, OrientedPoints, View
 from hir_core.config import load_config
-from hir_core.errors import CaptureError, ConfigError
+from hir_core.errors import CaptureError
 from hir_core.plugins import NoOptions
 from hir_core.plugins.manager import PluginManager
 from hir_core.stages.initialization import hashes_of_files_read
@@ -191,11 +191,6 @@ def test_the_surface_of_agreed_points_covers_what_all_of_them_cover() -> None:
         assert (mask & ~drawn).sum() < 0.02 * mask.sum() and (drawn & ~mask).sum() < 0.25 * mask.sum()
     nothing, _ = consistent_points([~mask & False for mask in masks], cameras, np.zeros(3), 1.2, 0.8)
     assert nothing.shape == (0, 3) and not draw_discs(nothing, cameras[0], reach).any()
-
-
-def test_a_cut_without_iterations_is_refused() -> None:
-    with pytest.raises(ConfigError, match="iterations is 0; it must be 1 or more"):
-        GrabCut(GrabCutOptions(iterations=0))
 
 
 @pytest.mark.slow
