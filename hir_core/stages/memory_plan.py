@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 BASE_PROCESS_BYTES = 1000 << 20
 """Python with torch, Mitsuba, Open3D and SciPy imported and their kernels compiled."""
 
+SECOND_PASS_BYTES = 192 << 20
+"""Of photo-consistency beside another pass (`passes_at_once`); spot took 167 MB more with it."""
+
 DECODED_PIXEL_BYTES = 12 + 4 + 1
 """Bytes of a decoded pixel: float32 colour, float32 mask, saturation."""
 
@@ -166,7 +169,8 @@ def _estimated(
         shrunk = _downsampled(size, config.geometry.downsample)
         details = min(shrunk.pixels * 7, 512 << 20) if config.geometry.photo_consistency == "auto" else 0
         targets = renderer.memory(shrunk, config.geometry.views_per_step)
-        stages["geometry"] = common | {"masks": targets, "details": details}
+        passes = SECOND_PASS_BYTES if config.geometry.photo_consistency == "auto" else 0
+        stages["geometry"] = common | {"masks": targets, "details": details, "passes": passes}
     if config.reflectance.enabled:
         shrunk = _downsampled(size, config.reflectance.downsample)
         stages["reflectance"] = common | {"fit": _reflectance_renderer(config, plugins).memory(shrunk)}

@@ -7,9 +7,10 @@ Accuracy and Visibility-Consistent Dense Multiview Stereo*.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ from scipy.ndimage import uniform_filter1d
 from torch import Tensor
 
 from hir_core.capture import Camera, View
+from hir_core.optimization.parallel_jobs import StopSignal, run_in_parallel
 from hir_core.scene.srgb import linear_to_srgb
 
 WINDOW_PIXELS = 7
@@ -35,6 +37,11 @@ DETAIL_BYTES_MAX = 512 << 20
 
 BYTES_PER_PIXEL = 7
 """Three float16 channels and one mask byte."""
+
+VIEWS_AT_ONCE = 4
+"""Each needs float32 copies of its photograph."""
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +64,16 @@ class DetailImages:
         height, width = max(c.height for c in cameras), max(c.width for c in cameras)
         images = torch.zeros(len(views), height, width, 3, dtype=torch.float16, device=device)
         square_inside = torch.zeros(len(views), height, width, dtype=torch.bool, device=device)
-        pixels = []
-        for i, view in enumerate(views):  # one at a time: float32 copies of all views would take twice the memory
-            detail, mask = detail_image(view, downsample)
+
+        def fill(i: int) -> NDArray[np.int32]:
+            # few at a time: float32 copies of all views would take twice the memory
+            detail, mask = detail_image(views[i], downsample)
             h, w = mask.shape
             images[i, :h, :w] = detail.half().permute(1, 2, 0).to(device)
             square_inside[i, : h - 1, : w - 1] = whole_squares(mask).to(device)
-            pixels.append(np.argwhere(mask.numpy())[:, ::-1].astype(np.int32))
+            return np.argwhere(mask.numpy())[:, ::-1].astype(np.int32)
+
+        pixels = of_each_view(fill, len(views))
         return cls(images, square_inside, tuple(pixels), cameras, tuple(view.name for view in views))
 
     @cached_property
@@ -77,6 +87,12 @@ class DetailImages:
         """From homogeneous positions to homogeneous pixel coordinates."""
         matrices = np.stack([camera.intrinsics @ camera.world_to_camera[:3] for camera in self.cameras])
         return torch.from_numpy(matrices.astype(np.float32)).to(self.images.device)
+
+
+def of_each_view(function: Callable[[int], T], views: int) -> list[T]:
+    """The results for all views, in their order, on as many threads as torch has, at most `VIEWS_AT_ONCE`."""
+    jobs = [partial(function, view) for view in range(views)]
+    return run_in_parallel(jobs, min(torch.get_num_threads(), VIEWS_AT_ONCE), StopSignal())
 
 
 def finest_downsample(views: Sequence[View], downsample: int) -> int:

@@ -101,6 +101,7 @@ def fit_pass(
     iou: Callable[[Mesh, list[int]], Float[Tensor, " B"]],
     settings: GeometrySettings,
     context: StageContext,
+    *,
     plan: Pass,
     total_steps: int,
     large: LargeSteps,

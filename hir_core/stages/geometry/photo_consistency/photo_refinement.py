@@ -33,6 +33,7 @@ from hir_core.stages.geometry.confirmed_movement import (
 )
 from hir_core.stages.geometry.photo_consistency.compared_pixels import away_from_occlusion_boundaries
 from hir_core.stages.geometry.photo_consistency.detail_images import DetailImages, finest_downsample
+from hir_core.stages.geometry.photo_consistency.passes_at_once import one_at_a_time, passes_at_once, run_passes
 from hir_core.stages.geometry.photo_consistency.photo_consistency_report import (
     ErrorChange,
     PassReport,
@@ -123,13 +124,27 @@ def refine_by_photo_consistency(
     large_steps = cache(partial(LargeSteps, mesh.topology, len(mesh.positions)))
     candidates = dict.fromkeys((SMOOTHNESS, FINE_SMOOTHNESS), mesh)
     reports = []
+    at_once, shared_iou = passes_at_once(mesh.positions.device), one_at_a_time(iou)
     passes, last = plan_passes(factors, settings.photo_consistency_iterations)
-    for downsample, plans in groupby(passes, key=lambda plan: plan.downsample):
-        coarse = downsample != factors[-1]
-        details = details_at(downsample) if coarse else finest
-        for plan in plans:
-            initial, large = candidates[plan.smoothness], large_steps(plan.smoothness)
-            fitted, curve = fit_pass(initial, details, neighbours, train, iou, settings, context, plan, last.end, large)
+    for downsample, group in groupby(passes, key=lambda plan: plan.downsample):
+        plans = list(group)
+        details = details_at(downsample) if downsample != factors[-1] else finest
+        fits = [
+            partial(
+                fit_pass,
+                candidates[plan.smoothness],
+                details,
+                neighbours,
+                train,
+                shared_iou,
+                settings,
+                plan=plan,
+                total_steps=last.end,
+                large=large_steps(plan.smoothness),
+            )
+            for plan in plans
+        ]
+        for plan, (fitted, curve) in zip(plans, run_passes(fits, context, at_once), strict=True):
             candidates |= dict.fromkeys(candidates if plan.shared else [plan.smoothness], fitted)
             reports.append(_pass_report(plan, curve))
             if plan.shared and (reason := why_no_finer(fitted, details)):
@@ -143,7 +158,9 @@ def refine_by_photo_consistency(
         everything = [i for i in range(len(views)) if i not in set(held_out)]
         near = neighbouring_views(capture.cameras, everything, takes)
         large = large_steps(last.smoothness)
-        selected, curve = fit_pass(selected, finest, near, everything, iou, settings, context, last, last.end, large)
+        selected, curve = fit_pass(
+            selected, finest, near, everything, iou, settings, context, plan=last, total_steps=last.end, large=large
+        )
         reports.append(_pass_report(last, curve))
         result = interpolated(mesh, selected, movement.share)
     after = evaluate_held_out(result, finest, neighbours, held_out, held_out, iou, context.seed)

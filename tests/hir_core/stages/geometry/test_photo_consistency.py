@@ -27,7 +27,7 @@ from hir_core.stages.geometry.photo_consistency.photo_consistency_report import 
     PhotoConsistencySkipped,
 )
 from hir_core.stages.geometry.photo_consistency.photo_error import mean_known
-from hir_core.stages.geometry.photo_consistency.photo_pass import plan_passes
+from hir_core.stages.geometry.photo_consistency.photo_pass import Pass, plan_passes
 from hir_core.stages.geometry.photo_consistency.photo_residuals import (
     PixelPairs,
     neighbouring_views,
@@ -204,8 +204,8 @@ def test_finer_photographs_are_used_where_the_coarsest_ones_gain(
     ball, bowl = mesh_of(*icosphere(5)), mesh_of(*hollow)
     plans = []
 
-    def scripted(mesh: Mesh, *others: Any) -> tuple[Mesh, np.ndarray]:
-        plans.append(others[-3])
+    def scripted(*others: Any, plan: Pass, **named: Any) -> tuple[Mesh, np.ndarray]:
+        plans.append(plan)
         return interpolated(ball, bowl, found), np.zeros(1)
 
     monkeypatch.setattr(photo_refinement, "fit_pass", scripted)
