@@ -6,8 +6,9 @@ Operations of torch on small tensors hardly gain from a second thread. Two of th
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -35,6 +36,21 @@ class StopSignal:
         """Raises `JobStoppedError` after `stop`; a job calls it between its steps."""
         if self._stopped.is_set():
             raise JobStoppedError
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """One thread of torch for the block: for loops of small operations, in which a second one only waits. Where another
+    program uses its core, they would wait for it in each operation.
+    """
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def run_in_parallel(jobs: Sequence[Callable[[], T]], at_once: int, signal: StopSignal) -> list[T]:

@@ -8,7 +8,7 @@ import time
 import pytest
 import torch
 
-from hir_core.optimization.parallel_jobs import JobStoppedError, StopSignal, run_in_parallel
+from hir_core.optimization.parallel_jobs import JobStoppedError, StopSignal, one_thread, run_in_parallel
 
 
 @pytest.fixture(autouse=True)
@@ -34,6 +34,19 @@ def test_threads_are_divided_and_given_back() -> None:
     found = run_in_parallel([torch.get_num_threads] * 5, 2, StopSignal())
     assert found == [2, 2, 2, 2, 4], "the last one has the threads of both"
     assert torch.get_num_threads() == 4
+
+
+def test_one_thread_for_a_block_and_all_of_them_after_it() -> None:
+    with pytest.raises(ValueError, match="broken"), one_thread():
+        assert torch.get_num_threads() == 1
+        raise ValueError("broken")
+    assert torch.get_num_threads() == 4
+
+    @one_thread()
+    def inside() -> int:
+        return torch.get_num_threads()
+
+    assert [inside(), inside(), torch.get_num_threads()] == [1, 1, 4]
 
 
 @pytest.mark.parametrize("at_once", [0, 1])

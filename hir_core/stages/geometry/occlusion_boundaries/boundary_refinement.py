@@ -24,6 +24,7 @@ from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.optimization.nonfinite_diagnostics import nonfinite_views
 from hir_core.optimization.optimization_loop import Checkpointing, optimize, warn_of_skipped_steps
 from hir_core.optimization.optimization_report import Terms
+from hir_core.optimization.parallel_jobs import one_thread
 from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
@@ -241,6 +242,7 @@ def _interpolated(
     return color, share
 
 
+@one_thread()
 def _fit(
     mesh: Mesh,
     fit: _BoundaryFit,

@@ -17,6 +17,7 @@ from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.optimization.nonfinite_diagnostics import nonfinite_views
 from hir_core.optimization.optimization_loop import Checkpointing, optimize, warn_of_skipped_steps
 from hir_core.optimization.optimization_report import Terms
+from hir_core.optimization.parallel_jobs import one_thread
 from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
@@ -93,6 +94,7 @@ def plan_passes(factors: Sequence[int], steps: int) -> tuple[list[Pass], Pass]:
     return passes, Pass(len(order), passes[-1].end, last_steps, factors[-1], 1.0, SMOOTHNESS, False)
 
 
+@one_thread()
 def fit_pass(
     mesh: Mesh,
     details: DetailImages,

@@ -20,6 +20,7 @@ from hir_core.optimization.checkpoints import CombinedState
 from hir_core.optimization.nonfinite_diagnostics import nonfinite_vertices, nonfinite_views
 from hir_core.optimization.optimization_loop import Checkpointing, optimize, sum_of, warn_of_skipped_steps
 from hir_core.optimization.optimization_report import OptimizationReport, Terms
+from hir_core.optimization.parallel_jobs import one_thread
 from hir_core.optimization.schedules import Batches, Schedule
 from hir_core.optimization.weighted_energies import prepare_energies
 from hir_core.plugins.interfaces import GeometryRenderer
@@ -124,6 +125,7 @@ def pass_of_level(fit: SilhouetteFit, level: int, levels: int) -> SilhouettePass
     )
 
 
+@one_thread()
 def fit_mesh(mesh: Mesh, fit: SilhouetteFit, plan: SilhouettePass) -> tuple[Mesh, OptimizationReport, float | None]:
     """The mesh of the lowest held-out error (the last one with too few views), the report, and that error."""
     settings, context = fit.settings, fit.context
