@@ -17,6 +17,7 @@ from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
+from hir_core.scene.silhouette_targets import SilhouetteTargets
 from hir_core.stages.geometry.confirmed_movement import confirmed_share, interpolated
 from hir_core.stages.geometry.geometry_fit import fit_geometry
 from hir_core.stages.geometry.photo_consistency import photo_refinement
@@ -37,6 +38,7 @@ from hir_core.stages.geometry.photo_consistency.photo_residuals import (
 )
 from hir_core.stages.held_out_views import held_out_for_geometry, judging_views
 from hir_plugins.geometry_renderers import plugin as renderers
+from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.regularizers import plugin as regularizers
 from tests.fixtures.meshes import Faces, Positions, around, capture_of, icosphere, mesh_of
 from tests.fixtures.meshes import camera as camera_at
@@ -144,6 +146,38 @@ def test_photographs_find_the_floor_of_a_bowl(hollow: tuple[Positions, Faces], c
     assert (report.iou_held_out.after or 0) > 0.985
     assert both.silhouette_positions is not None and outlines.silhouette_positions is None
     assert torch.equal(both.silhouette_positions, outlines.scene.mesh.positions)
+
+
+def test_the_mesh_does_not_depend_on_the_number_of_threads(
+    hollow: tuple[Positions, Faces],
+    capture: Capture,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Both candidates side by side, or one after the other; each step has one thread, which divides no sum."""
+    overlap, of_steps = Contour.overlap, set()
+
+    def watched(self: Contour, mesh: Mesh, targets: SilhouetteTargets) -> tuple[torch.Tensor, torch.Tensor]:
+        if mesh.positions.requires_grad:
+            of_steps.add(torch.get_num_threads())
+        return overlap(self, mesh, targets)
+
+    monkeypatch.setattr(Contour, "overlap", watched)
+    short = replace(SETTINGS, photo_consistency_iterations=8, iterations=8, outline_iterations=8)
+    monkeypatch.setattr(photo_refinement, "LEAST_EARLY_GAIN", -10.0)  # eight steps gain nothing yet
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            fitted, report = fit_geometry(
+                Scene(mesh_of(*hollow)), capture, short, _context(tmp_path / f"{threads} threads")
+            )
+            assert isinstance(report.photo_consistency, PhotoConsistencyReport)
+            assert len(report.photo_consistency.levels) >= 3
+            found.append(fitted.scene.mesh.positions)
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(*found) and of_steps == {1}
 
 
 @pytest.mark.slow
