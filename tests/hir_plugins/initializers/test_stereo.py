@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from hir_core.capture import Array, Camera, Capture, View
-from hir_core.errors import CaptureError, MissingExtraError
+from hir_core.errors import CaptureError, ConfigError, MissingExtraError
 from hir_core.mesh.mesh_validity import inspect_mesh
 from hir_core.scene import Mesh, Scene, Topology
 from hir_plugins.initializers.hull.visual_hull import VisualHull, hull_volume
@@ -327,7 +327,7 @@ def test_poisson_closes_a_ball_of_any_size() -> None:
 def test_what_is_missing_is_named(painted_cube: Capture) -> None:
     with pytest.raises(CaptureError, match="oriented points"):
         Poisson(PoissonOptions()).initialize(painted_cube, None, Path("unused"))
-    with pytest.raises(CaptureError, match="odd"):
+    with pytest.raises(ConfigError, match="odd"):
         Stereo(StereoOptions(window=4))
     blind = replace(painted_cube, views=tuple(replace(v, camera=None) for v in painted_cube.views))
     with pytest.raises(CaptureError, match="no camera"):

@@ -14,7 +14,7 @@ from hir_exporters.conventions import direction_to_latlong_uv, latlong_direction
 from hir_exporters.materials.brdf_numpy import dielectric_brdf, paper_brdf
 
 from hir_core.capture import Camera, Capture, View
-from hir_core.errors import ConfigError, StageError
+from hir_core.errors import StageError
 from hir_core.scene import CameraLamp, EnvironmentMap, Material, Mesh, Scene, Topology
 from hir_plugins.reflectance_renderers.mitsuba_ggx.options import MitsubaGGXOptions
 from hir_plugins.reflectance_renderers.mitsuba_ggx.renderer import MitsubaGGX
@@ -477,8 +477,6 @@ def test_wrong_input_is_named() -> None:
     surface_material = Material("paper", torch.rand(4, 4, 3), torch.zeros(3), torch.ones(1))
     with pytest.raises(StageError, match="no texture coordinates"):
         renderer().render(Scene(icosphere(1), surface_material, white()), camera)
-    with pytest.raises(ConfigError, match="max_depth"):
-        renderer(max_depth=1)
     empty = Mesh(torch.zeros(0, 3), Topology(torch.zeros(0, 3, dtype=torch.long)))
     with pytest.raises(StageError, match="empty"):
         renderer().render(Scene(empty, material("paper", 1, 0, 1), white()), camera)
