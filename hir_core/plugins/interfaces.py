@@ -94,7 +94,10 @@ class GeometryRenderer(ABC):
 
     @abstractmethod
     def overlap(self, mesh: Mesh, targets: SilhouetteTargets) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
-        """For each target: area of the silhouette and of its intersection with the mask, in pixels; differentiable."""
+        """For each target: area of the silhouette and of its intersection with the mask, in pixels; differentiable.
+
+        It is called by one thread at a time. Gradients of two results may be computed on two threads at the same time.
+        """
 
     def memory(self, size: CaptureSize, views_per_step: int) -> int:
         """Estimate in bytes of a capture's targets and a step of some views; by default masks in float32."""

@@ -24,7 +24,7 @@ BASE_PROCESS_BYTES = 1000 << 20
 """Python with torch, Mitsuba, Open3D and SciPy imported and their kernels compiled."""
 
 SECOND_PASS_BYTES = 192 << 20
-"""Of photo-consistency beside another pass (`passes_at_once`); spot took 167 MB more with it."""
+"""Of photo-consistency beside another pass (`passes_at_once`), at least; spot took 120 to 167 MB more with it."""
 
 DECODED_PIXEL_BYTES = 12 + 4 + 1
 """Bytes of a decoded pixel: float32 colour, float32 mask, saturation."""
@@ -154,10 +154,10 @@ def _estimated(
 ) -> MemoryPlan:
     cached = min(cache, size.pixels * PIXEL_BYTES)
     common = {"program": BASE_PROCESS_BYTES, "photographs": cached}
+    picture = 8 * size.width * size.height * DECODED_PIXEL_BYTES
     stages: dict[str, dict[str, int]] = {
         # a distance field and a mask for each view, and one picture in work
-        "initializer": common
-        | {"fields": size.pixels * 5, "picture": 8 * size.width * size.height * DECODED_PIXEL_BYTES},
+        "initializer": common | {"fields": size.pixels * 5, "picture": picture},
         "atlas": dict(common),
         "bake": dict(common),
         "export": dict(common),
@@ -169,8 +169,9 @@ def _estimated(
         shrunk = _downsampled(size, config.geometry.downsample)
         details = min(shrunk.pixels * 7, 512 << 20) if config.geometry.photo_consistency == "auto" else 0
         targets = renderer.memory(shrunk, config.geometry.views_per_step)
-        passes = SECOND_PASS_BYTES if config.geometry.photo_consistency == "auto" else 0
-        stages["geometry"] = common | {"masks": targets, "details": details, "passes": passes}
+        # two passes are fitted, and before them the details of two photographs computed, at the same time
+        second = max(SECOND_PASS_BYTES, picture) if config.geometry.photo_consistency == "auto" else 0
+        stages["geometry"] = common | {"masks": targets, "details": details, "second": second}
     if config.reflectance.enabled:
         shrunk = _downsampled(size, config.reflectance.downsample)
         stages["reflectance"] = common | {"fit": _reflectance_renderer(config, plugins).memory(shrunk)}

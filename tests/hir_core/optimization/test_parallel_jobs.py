@@ -9,14 +9,13 @@ import pytest
 import torch
 
 from hir_core.optimization.parallel_jobs import JobStoppedError, StopSignal, one_thread, run_in_parallel
+from tests.fixtures.torch_threads import torch_threads
 
 
 @pytest.fixture(autouse=True)
 def four_threads():  # type: ignore[no-untyped-def]
-    before = torch.get_num_threads()
-    torch.set_num_threads(4)
-    yield
-    torch.set_num_threads(before)
+    with torch_threads(4):
+        yield
 
 
 def test_jobs_run_at_the_same_time_and_keep_their_order() -> None:

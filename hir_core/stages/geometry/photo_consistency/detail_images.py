@@ -38,8 +38,8 @@ DETAIL_BYTES_MAX = 512 << 20
 BYTES_PER_PIXEL = 7
 """Three float16 channels and one mask byte."""
 
-VIEWS_AT_ONCE = 4
-"""Each needs float32 copies of its photograph."""
+VIEWS_AT_ONCE = 2
+"""Each needs float32 copies of its photograph (`memory_plan`)."""
 
 T = TypeVar("T")
 

@@ -30,7 +30,10 @@ def passes_at_once(device: torch.device) -> int:
 
 
 def one_at_a_time(iou: Iou) -> Iou:
-    """The same for several threads: it calls the geometry renderer, a plugin that promises nothing about threads."""
+    """The same for several threads: it calls the geometry renderer, a plugin, by one of them at a time.
+
+    The gradients of its results are not locked; `GeometryRenderer.overlap` says so.
+    """
     lock = threading.Lock()
 
     def locked(mesh: Mesh, views: list[int]) -> Float[Tensor, " B"]:

@@ -10,21 +10,21 @@ import pytest
 import torch
 from torch import Tensor
 
+from hir_core.plugins.interfaces import GeometryRenderer
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh
 from hir_core.stages.geometry.photo_consistency.detail_images import of_each_view
 from hir_core.stages.geometry.photo_consistency.passes_at_once import one_at_a_time, passes_at_once, run_passes
-from tests.fixtures.meshes import icosphere, mesh_of
+from tests.fixtures.meshes import around, capture_of, icosphere, mesh_of
+from tests.fixtures.torch_threads import torch_threads
 
 
 @pytest.fixture(autouse=True)
 def two_threads():  # type: ignore[no-untyped-def]
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
+    with torch_threads(2):
+        yield
 
 
 def test_observers_receive_the_passes_one_after_the_other(tmp_path: Path) -> None:
@@ -90,7 +90,32 @@ def test_a_renderer_is_called_by_one_thread_at_a_time() -> None:
     assert most == 1 and len(found) == 6
 
 
+@pytest.mark.parametrize("name", ["contour", "soft_silhouette"])
+def test_gradients_of_two_threads_are_those_of_one(name: str) -> None:
+    """`GeometryRenderer.overlap` says that they may be computed at the same time."""
+    positions, faces = icosphere(3)
+    cameras = around(4, 48)
+    renderer: GeometryRenderer = PluginManager.discover().create("geometry_renderer", name)
+    targets = renderer.prepare(capture_of(positions, faces, cameras).views)
+    lock = threading.Lock()
+
+    def gradient(scale: float) -> Tensor:
+        moved = (scale * torch.from_numpy(positions).float()).requires_grad_()
+        mesh = mesh_of(positions, faces).with_positions(moved)
+        with lock:
+            area, overlap = renderer.overlap(mesh, targets)
+        (area + 2 * overlap).sum().backward()
+        assert moved.grad is not None
+        return moved.grad
+
+    scales = [0.9, 1.0, 1.1, 0.95] * 4
+    alone = [gradient(scale) for scale in scales]
+    beside = of_each_view(lambda view: gradient(scales[view]), len(scales))
+    assert all(float(one.abs().max()) > 0 for one in alone)
+    assert all(torch.allclose(*pair, rtol=1e-6, atol=1e-6) for pair in zip(alone, beside, strict=True))
+
+
 def test_a_gpu_runs_one_pass_at_a_time() -> None:
     assert passes_at_once(torch.device("cuda")) == 1 and passes_at_once(torch.device("cpu")) == 2
-    torch.set_num_threads(1)
-    assert passes_at_once(torch.device("cpu")) == 1
+    with torch_threads(1):
+        assert passes_at_once(torch.device("cpu")) == 1

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch.nn.functional import avg_pool2d
 
-from hir_core.capture import Camera, Capture, Pixels
+from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
 from hir_core.mesh.ray_casting import MeshQueries
 from hir_core.plugins.manager import PluginManager
@@ -40,8 +40,10 @@ from hir_core.stages.held_out_views import held_out_for_geometry, judging_views
 from hir_plugins.geometry_renderers import plugin as renderers
 from hir_plugins.geometry_renderers.contour import Contour
 from hir_plugins.regularizers import plugin as regularizers
-from tests.fixtures.meshes import Faces, Positions, around, capture_of, icosphere, mesh_of
+from tests.fixtures.meshes import Faces, Positions, around, icosphere, mesh_of
 from tests.fixtures.meshes import camera as camera_at
+from tests.fixtures.photographed_bowl import Photograph, ball_with_bowl, on_faces, photographed
+from tests.fixtures.torch_threads import torch_threads
 
 pytest.importorskip("open3d")
 pytest.importorskip("cholespy")
@@ -56,52 +58,6 @@ SETTINGS = GeometrySettings(
     outline_iterations=0,
     regularizers={"laplacian": {"weight": 1e-5, "cotangent": True, "scale_free": True}},
 )
-
-
-def _hollow(subdivisions: int = 5) -> tuple[Positions, Faces]:
-    """A ball with a bowl in its side, whose floor no silhouette shows."""
-    positions, faces = icosphere(subdivisions)
-    angle = np.arccos(np.clip(positions[:, 2], -1, 1))
-    return positions * (1 - 0.45 * np.exp(-((angle / 0.7) ** 4)))[:, None], faces
-
-
-def _pattern(points: np.ndarray) -> np.ndarray:
-    """Colours of a point, 0…1: three gratings of different directions and widths."""
-    waves = np.array([[9.0, 4, 3], [-5, 11, 6], [3, -7, 12]])
-    return 0.5 + 0.35 * np.sin(points @ waves.T + [0, 1, 2])
-
-
-class _Photograph:
-    def __init__(self, color: np.ndarray, mask: np.ndarray) -> None:
-        self.pixels = Pixels(color.astype(np.float32), mask, np.zeros(mask.shape, bool))
-
-    def __call__(self) -> Pixels:
-        return self.pixels
-
-
-def _photographed(positions: Positions, faces: Faces, cameras: list[Camera], plain: bool = False) -> Capture:
-    """Unlit photographs of the pattern, one ray a pixel; `plain`: of one grey."""
-    capture = capture_of(positions, faces, cameras)
-    tracer = MeshQueries(positions.astype(np.float32), faces)
-    views = []
-    for view, camera in zip(capture.views, cameras, strict=True):
-        y, x = np.mgrid[: camera.height, : camera.width]
-        pixels = np.stack([x.ravel(), y.ravel()], axis=1) + 0.5
-        origin, direction = camera.rays(pixels)
-        origin = np.broadcast_to(origin, direction.shape)
-        face = tracer.first_faces(origin.astype(np.float32), direction.astype(np.float32))
-        points = _on_faces(positions, faces, face, origin, direction)
-        color = np.full((len(points), 3), 0.5) if plain else _pattern(points)
-        color = np.where(face[:, None] >= 0, color, 0).reshape(camera.height, camera.width, 3)
-        views.append(replace(view, read=_Photograph(color, view.pixels().mask)))
-    return replace(capture, views=tuple(views))
-
-
-def _on_faces(positions, faces, face, origin, direction):  # type: ignore[no-untyped-def]
-    a, b, c = (positions[faces[np.maximum(face, 0)][:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    along = (normal * (a - origin)).sum(1) / np.where(face >= 0, (normal * direction).sum(1), 1.0)
-    return origin + along[:, None] * direction
 
 
 def _context(tmp_path) -> StageContext:  # type: ignore[no-untyped-def]
@@ -120,17 +76,17 @@ def _floor_height(mesh: Mesh) -> float:
     face = MeshQueries(positions.astype(np.float32), faces).first_faces(
         origin.astype(np.float32), direction.astype(np.float32)
     )
-    return float(_on_faces(positions, faces, face, origin, direction)[:, 2].mean())
+    return float(on_faces(positions, faces, face, origin, direction)[:, 2].mean())
 
 
 @pytest.fixture(scope="module")
 def hollow() -> tuple[Positions, Faces]:
-    return _hollow()
+    return ball_with_bowl()
 
 
 @pytest.fixture(scope="module")
 def capture(hollow: tuple[Positions, Faces]) -> Capture:
-    return _photographed(*hollow, around(48, 128))
+    return photographed(*hollow, around(48, 128))
 
 
 @pytest.mark.slow
@@ -165,25 +121,22 @@ def test_the_mesh_does_not_depend_on_the_number_of_threads(
     monkeypatch.setattr(Contour, "overlap", watched)
     short = replace(SETTINGS, photo_consistency_iterations=8, iterations=8, outline_iterations=8)
     monkeypatch.setattr(photo_refinement, "LEAST_EARLY_GAIN", -10.0)  # eight steps gain nothing yet
-    before, found = torch.get_num_threads(), []
-    try:
-        for threads in (1, 2):
-            torch.set_num_threads(threads)
+    found = []
+    for threads in (1, 2):
+        with torch_threads(threads):
             fitted, report = fit_geometry(
                 Scene(mesh_of(*hollow)), capture, short, _context(tmp_path / f"{threads} threads")
             )
             assert isinstance(report.photo_consistency, PhotoConsistencyReport)
             assert len(report.photo_consistency.levels) >= 3
             found.append(fitted.scene.mesh.positions)
-    finally:
-        torch.set_num_threads(before)
     assert torch.equal(*found) and of_steps == {1}
 
 
 @pytest.mark.slow
 def test_no_seed_moves_a_mesh_to_which_photographs_add_nothing(tmp_path) -> None:  # type: ignore[no-untyped-def]
     """A sphere, which the silhouettes find."""
-    truth = _photographed(*icosphere(5), around(24, 64))
+    truth = photographed(*icosphere(5), around(24, 64))
     # two levels: after 20 steps at one the silhouettes have not found the sphere yet, and photographs add something
     settings = replace(
         SETTINGS, iterations=20, levels=2, triangles=1500, photo_consistency_iterations=20, held_out=0.08
@@ -204,7 +157,7 @@ def test_the_fine_candidate_is_selected_where_there_is_something_to_carve(carved
     """Grooves a few triangles wide, which a smooth surface bridges; without them a less smooth one only gets rough."""
     positions, faces = icosphere(5)
     depth = 0.03 * np.sin(14 * positions[:, 0]) * np.sin(14 * positions[:, 1]) if carved else 0 * positions[:, 0]
-    truth = _photographed(positions * (1 + depth)[:, None], faces, around(24, 96))
+    truth = photographed(positions * (1 + depth)[:, None], faces, around(24, 96))
     settings = replace(SETTINGS, iterations=20, photo_consistency_iterations=30)
     _, report = fit_geometry(Scene(mesh_of(*icosphere(4))), truth, settings, _context(tmp_path))
     found = report.photo_consistency
@@ -215,7 +168,7 @@ def test_the_fine_candidate_is_selected_where_there_is_something_to_carve(carved
 
 
 def test_without_detail_the_mesh_stays_as_the_silhouette_fit_left_it(hollow: tuple[Positions, Faces], tmp_path) -> None:  # type: ignore[no-untyped-def]
-    plain = _photographed(*hollow, around(24, 64), plain=True)
+    plain = photographed(*hollow, around(24, 64), plain=True)
     settings = replace(SETTINGS, iterations=20, triangles=1500, photo_consistency_iterations=10)
     start = Scene(mesh_of(*icosphere(3)))
     outlines, _ = fit_geometry(start, plain, replace(settings, photo_consistency="off"), _context(tmp_path / "a"))
@@ -272,7 +225,7 @@ def test_pixels_beside_an_occlusion_boundary_are_not_compared() -> None:
     positions = np.concatenate([large, 0.3 * large + [2.2, 0, 0]])
     both = np.concatenate([faces, faces + len(large)])
     view = camera_at(96, (4.0, 0.0, 0.0))
-    details = DetailImages.of(_photographed(positions, both, [view]).views, 1)
+    details = DetailImages.of(photographed(positions, both, [view]).views, 1)
     kept = away_from_occlusion_boundaries(details, ray_structure(mesh_of(positions, both)))
     before, found = (np.zeros((96, 96), bool) for _ in range(2))
     for mask, compared in ((before, details), (found, kept)):
@@ -290,8 +243,8 @@ def test_pixels_beside_an_occlusion_boundary_are_not_compared() -> None:
 
 
 def test_gradient_is_that_of_finite_differences(hollow: tuple[Positions, Faces]) -> None:
-    positions, faces = _hollow(3)
-    capture = _photographed(positions, faces, around(30, 64))
+    positions, faces = ball_with_bowl(3)
+    capture = photographed(positions, faces, around(30, 64))
     # interpolation of the detail has kinks at pixel centres; smooth images, few of them
     details = DetailImages.of(capture.views, 1)
     near = neighbouring_views(capture.cameras, range(30))
@@ -344,13 +297,13 @@ def _with_second_take(capture: Capture, views: list[int]) -> Capture:
     changed = []
     for i, view in enumerate(capture.views):
         pixels = view.pixels()
-        other = replace(view, take="turned over", read=_Photograph(under_other_light(pixels.color_linear), pixels.mask))
+        other = replace(view, take="turned over", read=Photograph(under_other_light(pixels.color_linear), pixels.mask))
         changed.append(other if i in views else replace(view, take="upright"))
     return replace(capture, views=tuple(changed))
 
 
 def test_photographs_of_different_takes_are_not_compared() -> None:
-    capture = _photographed(*_hollow(4), around(48, 64))
+    capture = photographed(*ball_with_bowl(4), around(48, 64))
     both = _with_second_take(capture, list(range(1, 48, 2)))
     everything, takes = range(48), both.take_numbers
     near = neighbouring_views(both.cameras, everything, takes)
@@ -361,7 +314,7 @@ def test_photographs_of_different_takes_are_not_compared() -> None:
     def mean_residual(photographed: Capture, neighbours: list[list[int]]) -> float:
         details = DetailImages.of(photographed.views, 1)
         pairs = sample_pairs(details, neighbours, everything, 300, np.random.default_rng(0))
-        return float(photo_consistency_residuals(mesh_of(*_hollow(4)), details, pairs)[0].abs().mean())
+        return float(photo_consistency_residuals(mesh_of(*ball_with_bowl(4)), details, pairs)[0].abs().mean())
 
     under_one_light = mean_residual(capture, near)
     assert mean_residual(both, near) < 1.2 * under_one_light
@@ -376,7 +329,7 @@ def test_one_take_has_the_neighbours_of_a_capture_without_takes(capture: Capture
 
 
 def test_a_take_of_one_photograph_takes_part_by_its_silhouette_alone(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    both = _with_second_take(_photographed(*_hollow(4), around(24, 64)), [9])
+    both = _with_second_take(photographed(*ball_with_bowl(4), around(24, 64)), [9])
     assert neighbouring_views(both.cameras, range(24), both.take_numbers)[9] == []
     settings = replace(SETTINGS, iterations=20, triangles=1500, photo_consistency_iterations=10)
     fitted, report = fit_geometry(Scene(mesh_of(*icosphere(3))), both, settings, _context(tmp_path))
@@ -388,7 +341,7 @@ def test_a_take_of_one_photograph_takes_part_by_its_silhouette_alone(tmp_path) -
 
 
 def test_takes_of_one_photograph_each_are_not_compared(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    capture = _photographed(*_hollow(3), around(12, 48))
+    capture = photographed(*ball_with_bowl(3), around(12, 48))
     views = tuple(replace(view, take=view.name) for view in capture.views)
     settings = replace(SETTINGS, iterations=5, triangles=600, photo_consistency_iterations=5)
     start = Scene(mesh_of(*icosphere(2)))
