@@ -40,7 +40,7 @@ def ticks_during(work: Callable[[], object]) -> int:
 def test_native_code_that_keeps_pythons_lock_does_not_hold_up_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """xatlas works on this mesh for some seconds; beside it, in this process, the second thread got no turn at all."""
     monkeypatch.setattr(uv_charts, "SIMPLIFIED_FROM", 1 << 30)
-    mesh = bumpy_sphere(5)
+    mesh = bumpy_sphere(4)
     positions, faces = mesh.positions.numpy(), mesh.faces.numpy()
     assert len(faces) > FACES_IN_PROCESS
     alone: list[Any] = []

@@ -97,10 +97,8 @@ class _ExposureComparison(Generic[FitT, RefinementT]):
             self._best = candidate
 
     def _best_with(self, exposures: Exposures) -> FoldedFit[FitT]:
-        found = [
-            self._fits.fit(replace(spec, exposures=exposures), None, BUDGET.effort, BUDGET.pixel_share)
-            for spec in self._specs
-        ]
+        specs = [replace(spec, exposures=exposures) for spec in self._specs]
+        found = self._fits.side_by_side(specs, None, BUDGET.effort, BUDGET.pixel_share)
         return max(found, key=lambda fit: fit.held_out_db)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Generic, TypeVar, final
 
 import numpy as np
@@ -111,6 +112,21 @@ class FoldedFits(Generic[FitT, RefinementT]):
             return lambda fits: job(FoldedFits(fits, self._folds))
 
         return self._fits.in_branches([with_fits(job) for job in jobs], ended)
+
+    def side_by_side(
+        self,
+        specs: Sequence[ModelSpec],
+        initial: FoldedFit[FitT] | None,
+        effort: float,
+        pixel_share: float,
+        ended: Callable[[FoldedFit[FitT]], None] = lambda fit: None,
+    ) -> list[FoldedFit[FitT]]:
+        """`fit` of several models, all from the same initial fit, in branches; `ended` receives each one."""
+
+        def fit_one(spec: ModelSpec, fits: FoldedFits[FitT, RefinementT]) -> FoldedFit[FitT]:
+            return fits.fit(spec, initial, effort, pixel_share)
+
+        return self.in_branches([partial(fit_one, spec) for spec in specs], ended)
 
     def fits_from_nothing(self, spec: ModelSpec) -> int:
         """Number of fits of which a fit without an initial one consists: its own and those of simpler models."""

@@ -43,7 +43,7 @@ def compare_lamp(
     expected cost of what follows, for the progress.
     """
     fits.expect((1 + len(others)) * fit_cost(lamp, BUDGET.effort, BUDGET.pixel_share) + later_cost)
-    found, *rest = (fits.fit(spec, None, BUDGET.effort, BUDGET.pixel_share) for spec in (lamp, *others))
+    found, *rest = fits.side_by_side([lamp, *others], None, BUDGET.effort, BUDGET.pixel_share)
     nearest = max(rest, key=lambda fit: fit.held_out_db)
     gain, standard_error = gain_of(found, over=nearest)
     return LampComparison(is_ahead_of(found, rest), nearest.spec, gain, standard_error, len(found.errors))

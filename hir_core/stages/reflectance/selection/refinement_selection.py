@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Generic, final
 
 import numpy as np
@@ -284,8 +283,8 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         if missing:
             self._initial, self._has_control = self.fit, True
             self.effort += COMPARISON.effort
-        continued = [partial(self._continued, spec) for spec in (*missing, *specs)]
-        fits = self._fits.in_branches(continued, self._fitted)
+        budget = COMPARISON.effort, COMPARISON.pixel_share
+        fits = self._fits.side_by_side([*missing, *specs], self._initial, *budget, self._fitted)
         if missing:
             self.fit, *fits = fits
         return fits
@@ -293,9 +292,6 @@ class RefinementSelection(Generic[FitT, RefinementT]):
     def _is_supported(self, spec: ModelSpec) -> bool:
         """Whether the solver fits this very model."""
         return self._fits.supported(spec) == spec
-
-    def _continued(self, spec: ModelSpec, fits: FoldedFits[FitT, RefinementT]) -> FoldedFit[FitT]:
-        return fits.fit(spec, self._initial, COMPARISON.effort, COMPARISON.pixel_share)
 
     def _record(self, fit: FoldedFit[FitT], gain: float, standard_error: float, accepted: bool) -> None:
         self.comparisons.append(Comparison(fit.spec, fit.held_out_db, gain, standard_error, len(fit.errors), accepted))

@@ -93,8 +93,8 @@ def test_a_renderer_is_called_by_one_thread_at_a_time() -> None:
 @pytest.mark.parametrize("name", ["contour", "soft_silhouette"])
 def test_gradients_of_two_threads_are_those_of_one(name: str) -> None:
     """`GeometryRenderer.overlap` says that they may be computed at the same time."""
-    positions, faces = icosphere(3)
-    cameras = around(4, 48)
+    positions, faces = icosphere(2)
+    cameras = around(3, 32)
     renderer: GeometryRenderer = PluginManager.discover().create("geometry_renderer", name)
     targets = renderer.prepare(capture_of(positions, faces, cameras).views)
     lock = threading.Lock()

@@ -84,6 +84,7 @@ def first_camera() -> Camera:
     return Camera(np.array([[focal, 0, SIDE / 2], [0, focal, SIDE / 2], [0, 0, 1.0]]), look_at(position), SIDE, SIDE)
 
 
+@pytest.mark.slow
 def test_lit_picture_is_our_render_and_its_light_turns(page: Path, shot: Shot) -> None:
     from hir_core.metrics import composite, unassociate
     from hir_core.plugins.manager import PluginManager
