@@ -129,7 +129,9 @@ def _fitted_again(scene: Scene, capture: Capture, config: RunConfig, context: St
     again.workspace.mkdir(parents=True, exist_ok=True)
     bare = replace(scene, material=None, environment=None, take_radiance={})
     geometry, _ = fit_geometry(bare.to(context.device), capture, config.geometry, again)
+    again.report(Progress("atlas", 0, 1, 0.0))
     unwrapped, _ = unwrap(geometry.scene, capture, config.atlas, again)
+    again.report(Progress("reflectance", 0, 1, 0.0, message="material and light"))
     return fit_reflectance(unwrapped, capture, config.reflectance, again, geometry.silhouette_positions)
 
 

@@ -16,8 +16,9 @@ from hir_core.config import GeometrySettings
 from hir_core.errors import StageError
 from hir_core.mesh.attribute_transfer import remeshed
 from hir_core.mesh.mesh_validity import MeshState, inspect_mesh
-from hir_core.mesh.self_intersection_repair import separate_sheets, smooth_intersections
+from hir_core.mesh.self_intersection_repair import IntersectingSurface, separate_sheets, smooth_intersections
 from hir_core.plugins.interfaces import GeometryRenderer
+from hir_core.plugins.progress import Progress
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
 from hir_core.scene.frames import unit_similarity
@@ -104,6 +105,7 @@ def fit_geometry(
             mesh, capture, fit.iou, fit.held_out, settings, context
         )
     earlier = silhouette_mesh if photo_consistency.accepted or occlusion_boundaries.accepted else None
+    context.report(Progress("geometry", 0, 1, 0.0, message="repair of self-intersections"))
     mesh, after = _repair(mesh, before.self_intersecting, earlier)
     if earlier is not None:
         earlier, _ = _repair(earlier, before.self_intersecting, None)
@@ -184,12 +186,11 @@ def _repair(mesh: Mesh, allowed: int, silhouette_mesh: Mesh | None) -> tuple[Mes
     state = inspect_mesh(*_arrays(mesh))
     if state.self_intersecting <= allowed:
         return mesh, state
-    positions, faces = _arrays(mesh)
-    positions = separate_sheets(positions, faces, allowed)
+    surface = separate_sheets(IntersectingSurface.of(*_arrays(mesh)), allowed)
     if silhouette_mesh is not None:
-        positions = smooth_intersections(positions, faces, allowed, toward=_arrays(silhouette_mesh)[0])
-    positions = smooth_intersections(positions, faces, allowed)
-    mesh = mesh.with_positions(torch.from_numpy(positions).to(mesh.positions))
+        surface = smooth_intersections(surface, allowed, toward=_arrays(silhouette_mesh)[0])
+    surface = smooth_intersections(surface, allowed)
+    mesh = mesh.with_positions(torch.from_numpy(surface.positions).to(mesh.positions))
     return mesh, inspect_mesh(*_arrays(mesh))
 
 

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from hir_core.capture import Camera
 from hir_core.mesh.mesh_validity import component_of_vertices, self_intersections
 from hir_core.mesh.ray_casting import MeshQueries
-from hir_core.mesh.self_intersection_repair import smooth_intersections
+from hir_core.mesh.self_intersection_repair import IntersectingSurface, smooth_intersections
 from hir_core.mesh.texture_inpainting import harmonic_vertices
 from hir_plugins.initializers.surface.isosurface import signed_volume
 from hir_plugins.initializers.surface.vertex_colors import VertexVisibility, vertex_normals
@@ -80,10 +80,12 @@ def membranes(positions: Points, faces: Faces, free: NDArray[np.bool_]) -> Point
     corners, third = np.repeat(fixed[:, None], 3, axis=1), np.full((len(fixed), 3), 1 / 3)
     membrane = harmonic_vertices(faces, len(positions), corners, third, positions[fixed])
     moved = _inside(positions, faces, np.where(free[:, None], membrane, positions))
-    if not np.array_equal(moved, positions) and len(self_intersections(moved, faces)) > 0:
-        allowed = len(self_intersections(positions, faces))
-        moved = smooth_intersections(moved, faces, allowed, toward=positions)
-    return moved
+    if np.array_equal(moved, positions):
+        return moved
+    surface = IntersectingSurface.of(moved, faces)
+    if len(surface.hit) > 0:
+        surface = smooth_intersections(surface, len(self_intersections(positions, faces)), toward=positions)
+    return surface.positions
 
 
 def seen_vertices(positions: Points, faces: Faces, cameras: Sequence[Camera]) -> NDArray[np.bool_]:

@@ -14,7 +14,6 @@ from hir_core.capture import Capture
 from hir_core.config import GeometrySettings
 from hir_core.errors import CaptureError, StageError
 from hir_core.mesh.mesh_validity import inspect_mesh
-from hir_core.mesh.self_intersection_repair import separate_sheets, smooth_intersections
 from hir_core.plugins.manager import PluginManager
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Mesh, Scene
@@ -327,50 +326,3 @@ def test_down_weighting_needs_five_views_and_a_clear_outlier() -> None:
     assert set(view_weights.down_weighted()) == {4}
     pair = RobustViewWeights(2)
     assert pair.update([0, 1], np.array([0.01, 0.9]), active=True).tolist() == [1.0, 1.0]
-
-
-def test_repair_moves_back_to_an_earlier_state_where_the_surface_folded() -> None:
-    before, faces = icosphere(4)
-    generator = np.random.default_rng(0)
-    # a bump all over, which is right, and three patches turned inside out, which are not
-    bumped = before * (1 + 0.02 * np.cos(7 * before[:, :1]))
-    folded = bumped.copy()
-    for centre in generator.normal(size=(3, 3)):
-        patch = before @ (centre / np.linalg.norm(centre)) > 0.97
-        folded[patch] += generator.normal(scale=0.08, size=(int(patch.sum()), 3))
-    assert inspect_mesh(folded, faces).self_intersecting > 20
-    repaired = smooth_intersections(folded, faces, allowed=0, toward=before)
-    assert inspect_mesh(repaired, faces).self_intersecting == 0
-    moved = np.linalg.norm(repaired - folded, axis=1) > 0
-    assert 0.02 < moved.mean() < 0.3
-    # each vertex lies between where it was then and where it had gone
-    back, away = (np.linalg.norm(state[moved] - before[moved], axis=1) for state in (repaired, folded))
-    assert (back < away).all()
-
-
-def test_grazing_sheets_are_separated() -> None:
-    lower, faces = icosphere(4)
-    upper = lower + np.array([0.0, 1.999, 0.0])
-    positions, both = np.concatenate([lower, upper]), np.concatenate([faces, faces + len(lower)])
-    assert inspect_mesh(positions, both).self_intersecting > 0
-    repaired = separate_sheets(positions, both, allowed=0)
-    assert inspect_mesh(repaired, both).self_intersecting == 0
-    edge = np.linalg.norm(lower[faces[:, 0]] - lower[faces[:, 1]], axis=1).mean()
-    moved = np.linalg.norm(repaired - positions, axis=1)
-    assert moved.max() < edge
-    assert (moved > 0).mean() < 0.05
-    # each sphere gives way to its own side
-    assert (repaired[: len(lower), 1] <= lower[:, 1] + 1e-12).all()
-    assert (repaired[len(lower) :, 1] >= upper[:, 1] - 1e-12).all()
-
-
-def test_repair_removes_a_spike_and_leaves_the_rest() -> None:
-    positions, faces = icosphere(3)
-    spoilt = positions.copy()
-    spoilt[5] *= -1.4
-    assert inspect_mesh(spoilt, faces).self_intersecting > 0
-    repaired = smooth_intersections(spoilt, faces, allowed=0)
-    assert inspect_mesh(repaired, faces).self_intersecting == 0
-    # the spike pierced the far side too
-    far = np.abs(positions @ positions[5]) < 0.3
-    assert np.array_equal(repaired[far], positions[far])
