@@ -175,7 +175,7 @@ def test_no_process_of_ray_remains_after_a_batch_was_killed(tmp_path: Path) -> N
             time.sleep(0.2)
         assert len(processes_with(mark)) > 4
         batch.kill()
-    # Ray's agents look five times for their parent, 2 s apart, and later where other programs have the processors
+    # an agent of Ray whose parent is dead first reports that to a server, which may be dead, too
     deadline = time.monotonic() + 120
     while (left := processes_with(mark)) and time.monotonic() < deadline:
         time.sleep(0.5)
