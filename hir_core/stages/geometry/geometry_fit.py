@@ -105,7 +105,7 @@ def fit_geometry(
             mesh, capture, fit.iou, fit.held_out, settings, context
         )
     earlier = silhouette_mesh if photo_consistency.accepted or occlusion_boundaries.accepted else None
-    context.report(Progress("geometry", 0, 1, 0.0, message="repair of self-intersections"))
+    context.report(Progress("geometry", 0, 1, 0.0, message="self-intersections"))
     mesh, after = _repair(mesh, before.self_intersecting, earlier)
     if earlier is not None:
         earlier, _ = _repair(earlier, before.self_intersecting, None)

@@ -164,7 +164,8 @@ def test_the_second_fit_has_checkpoints_of_its_own_and_one_progress_bar(run: Run
     assert {each.stage for each in outcome.progress} == {"reflectance"}
     curves = [each for each in outcome.progress if each.scalars or each.milestone]
     assert len(curves) == 1 and curves[0].message == "metal", "the curves are those of the first fit"
-    assert any(each.message == "revised mesh: geometry" for each in outcome.progress)
+    named = {each.message for each in outcome.progress}
+    assert {f"revised mesh: {step}" for step in ("geometry", "atlas", "material and light")} <= named
 
 
 def test_an_unchanged_mesh_is_fitted_once(run: Run) -> None:
