@@ -45,6 +45,8 @@ def main() -> None:
     model.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's variant")
     options = parser.parse_args()
     if options.command == "model":
+        if not options.file.is_file():
+            parser.error(f"{options.file} is not a file; name a model in glTF, OBJ or PLY")
         render_model(options)
         return
     chosen = recipes()

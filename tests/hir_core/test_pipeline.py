@@ -136,6 +136,7 @@ def test_finished_run_is_reused_whole_and_a_setting_redoes_what_depends_on_it(
     assert sum("reused" in sentence for sentence in said) == len(STAGE_NAMES) - 1
 
 
+@pytest.mark.slow
 def test_until_leaves_a_run_that_goes_on(tiny_capture: Path, quick: Reconstruct, finished: Run, tmp_path: Path) -> None:
     begun = quick(tiny_capture, tmp_path / "run", until="initializer", deterministic=True)
     # the cameras are there for other programs already

@@ -37,6 +37,7 @@ print("ready", flush=True)
 """A call into native code of a minute or more, in which Python handles no signal."""
 
 
+@pytest.mark.slow
 def test_a_call_into_native_code_does_not_hold_it_up() -> None:
     assert MAX_EXIT_SECONDS < LIMIT_SECONDS
     code = NATIVE.format(call="torch.linalg.svdvals(a)")

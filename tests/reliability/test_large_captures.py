@@ -33,6 +33,7 @@ def test_duplicates_among_ten_thousand_photographs_need_little_memory() -> None:
     assert peak < 600 << 20
 
 
+@pytest.mark.slow
 def test_equal_photographs_are_named_once_each() -> None:
     """All pairs of 10,000 equal photographs would be 50 million."""
     pixels = Pixels(np.full((8, 8, 3), 0.5, np.float32), None, np.zeros((8, 8), bool))

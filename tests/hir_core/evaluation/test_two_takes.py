@@ -22,6 +22,7 @@ from hir_core.plugins.manager import PluginManager
 RECIPE = next(each for each in recipes() if each.name.startswith("42_block_matt"))
 
 
+@pytest.mark.slow
 def test_a_turned_over_light_is_that_of_the_room_in_the_axes_of_the_object() -> None:
     """The object upside down in the room, and the room upside down around the object: the same photograph."""
     import mitsuba as mi

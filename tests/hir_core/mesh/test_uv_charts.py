@@ -37,6 +37,7 @@ def ticks_during(work: Callable[[], object]) -> int:
     return count
 
 
+@pytest.mark.slow
 def test_native_code_that_keeps_pythons_lock_does_not_hold_up_other_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """xatlas works on this mesh for some seconds; beside it, in this process, the second thread got no turn at all."""
     monkeypatch.setattr(uv_charts, "SIMPLIFIED_FROM", 1 << 30)

@@ -38,6 +38,7 @@ def test_a_run_of_a_gpu_is_opened_on_the_processor_where_there_is_none(
     assert not open_finished_run(RunDirectory(run)).scene.mesh.positions.is_cuda
 
 
+@pytest.mark.slow
 def test_the_scene_of_an_earlier_fit_is_refused_until_the_run_is_finished_again(
     finished: Run, tiny_capture: Path, tmp_path: Path, quick: Callable[..., Run]
 ) -> None:

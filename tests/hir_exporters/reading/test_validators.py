@@ -41,7 +41,7 @@ def lines(findings: list[Finding]) -> list[str]:
     return [f"{f.file.name}: {f.severity} {f.code} {f.message}" for f in findings]
 
 
-@pytest.mark.parametrize("triangles", [1, 2])
+@pytest.mark.parametrize("triangles", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_one_and_two_triangles(triangles: int, textured_asset: Asset, tmp_path: Path) -> None:
     asset = replace(textured_asset, mesh=plate(1, 1, triangles))
     assert len(asset.mesh.faces) == triangles

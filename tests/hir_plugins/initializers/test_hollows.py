@@ -141,6 +141,7 @@ def test_a_cup_is_hollow(sectors: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert queries.nearest(scene.mesh.positions.double().numpy())[0].mean() < 0.04
 
 
+@pytest.mark.slow
 def test_the_floor_of_a_bowl_rises_towards_its_rim(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outline_search, "SECTORS", 1)
     truth = bowl()
@@ -214,7 +215,8 @@ def test_a_hole_that_no_outline_shows_is_open() -> None:
     assert (new.signed_distance(0.38 * circle) < 0).mean() > 0.9, "the wall stays"
 
 
-@pytest.mark.parametrize("paint", [pytest.param("painted", marks=pytest.mark.slow), "mirror"])
+@pytest.mark.slow
+@pytest.mark.parametrize("paint", ["painted", "mirror"])
 def test_what_is_solid_stays_as_it_is(paint: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outline_search, "SECTORS", 4 if paint == "mirror" else SECTORS)
 

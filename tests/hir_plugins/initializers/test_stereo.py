@@ -398,6 +398,7 @@ def dent_of(scene: Scene | None) -> float:
 QUICK = StereoOptions(max_image_size=112, vertex_colors=False, max_resolution=72)
 
 
+@pytest.mark.slow
 def test_stereo_carves_the_dent_that_no_outline_shows() -> None:
     capture = bowl_capture(dent=True)
     hull = VisualHull(VisualHullOptions(max_resolution=72, vertex_colors=False))

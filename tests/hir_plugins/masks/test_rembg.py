@@ -67,6 +67,7 @@ def test_what_is_no_network_is_named(photographs: Capture) -> None:
         Rembg(RembgOptions(weights="broken.onnx")).masks(photographs, None)
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_stays(photographs: Capture) -> None:
     """rembg imports numba, which sets OpenMP's threads to the number of cores, also those of torch."""
     program = f"""

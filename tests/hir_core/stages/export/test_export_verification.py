@@ -120,6 +120,7 @@ def test_what_is_broken_on_disk_is_named(spoil: object, blamed: str, tmp_path: P
     assert f"{blamed} costs most" in sentence
 
 
+@pytest.mark.slow
 def test_noise_of_few_paths_does_not_count_as_an_error(tmp_path: Path) -> None:
     """The figures of 4 paths a pixel are those of 256."""
     plugins, asset = PluginManager.discover(), ball("dielectric")

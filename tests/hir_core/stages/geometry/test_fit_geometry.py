@@ -97,6 +97,7 @@ def test_a_ball_becomes_the_shape_in_the_masks(capture: Capture, tmp_path: Path)
     assert len(report.views.held_out) == 2
 
 
+@pytest.mark.slow
 def test_outlines_are_fitted_without_the_regularizers_that_moved_them(capture: Capture, tmp_path: Path) -> None:
     stiff = replace(SETTINGS, regularizers={"laplacian": {"weight": 3e-3, "cotangent": True, "scale_free": True}})
     without, report = _fit(_ball(), capture, replace(stiff, outline_iterations=0), tmp_path / "without")
@@ -112,6 +113,7 @@ def test_outlines_are_fitted_without_the_regularizers_that_moved_them(capture: C
     assert abs(offset) < 0.1 < abs(offset_without)
 
 
+@pytest.mark.slow
 def test_outlines_do_not_follow_the_noise_of_masks(capture: Capture, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     views = []

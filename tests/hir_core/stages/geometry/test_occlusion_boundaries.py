@@ -133,6 +133,7 @@ def test_the_rim_of_a_cup_moves_to_where_photographs_show_it(cup_capture: Captur
     assert torch.isfinite(mesh.positions).all()
 
 
+@pytest.mark.slow
 def test_exposures_that_differ_do_not_move_boundaries(cup_capture: Capture, tmp_path) -> None:  # type: ignore[no-untyped-def]
     """Up to a stop darker or brighter; predictions by the other photographs would be wrong by as much."""
     factors = np.exp2(np.random.default_rng(0).uniform(-1, 1, (len(cup_capture.views), 1, 1)))

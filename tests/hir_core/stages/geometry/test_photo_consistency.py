@@ -104,6 +104,7 @@ def test_photographs_find_the_floor_of_a_bowl(hollow: tuple[Positions, Faces], c
     assert torch.equal(both.silhouette_positions, outlines.scene.mesh.positions)
 
 
+@pytest.mark.slow
 def test_the_mesh_does_not_depend_on_the_number_of_threads(
     hollow: tuple[Positions, Faces],
     capture: Capture,

@@ -113,6 +113,7 @@ def test_an_interrupted_suite_continues_only_on_the_same_commit(
     assert measured == ["first", "second", "first", "second"], "rows of a changed commit are measured again"
 
 
+@pytest.mark.slow
 def test_the_geometry_stage_follows_where_a_method_says_so(
     bench_options: BenchOptions, made: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -150,6 +150,7 @@ def test_every_control_has_a_name(browser: BrowserSession, dropped: Path) -> Non
     assert sum(role == "heading" for role, _ in found) >= 5
 
 
+@pytest.mark.slow
 def test_a_lost_server_is_said(server: UiServer, browser: BrowserSession) -> None:
     server.token = "gone"
     browser.wait_for("document.querySelector('#connection').textContent.includes('Start hir ui again')")

@@ -120,7 +120,7 @@ def test_the_noise_of_the_path_tracer_depends_on_the_seed_of_the_run(shadowed: t
     assert not torch.equal(offset(1), offset(2))
 
 
-@pytest.mark.parametrize(("cells", "accepted"), [(30, True), (800, False)])
+@pytest.mark.parametrize(("cells", "accepted"), [(30, True), pytest.param(800, False, marks=pytest.mark.slow)])
 def test_path_tracing_corrects_a_coarse_irradiance_cache(
     shadowed: tuple[Scene, Capture], tmp_path: Path, cells: int, accepted: bool
 ) -> None:

@@ -62,7 +62,7 @@ def test_other_scales_are_tried_where_highlights_are_new_and_nothing_else_tells_
     assert len(initial_candidates(spec, parameters(True), earlier, known)) == count
 
 
-@pytest.mark.parametrize("albedo", [ALBEDO, 0.4])
+@pytest.mark.parametrize("albedo", [ALBEDO, pytest.param(0.4, marks=pytest.mark.slow)])
 def test_the_scale_of_a_dark_glossy_ball_is_found_and_a_bright_one_keeps_its_own(
     albedo: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -109,6 +109,7 @@ def test_uniform_values_and_light_keep_their_gradients() -> None:
     assert torch.equal(values.light.grad, torch.ones(2, 4, 3)) and torch.equal(values.specular.grad, torch.ones(1, 1))
 
 
+@pytest.mark.slow
 def test_with_few_pixels_views_left_out_gain() -> None:
     """A glossy ball of 10,000 vertices and 2,000 pixels: an albedo of each vertex shows the highlights of the
     photographs that it is fitted to, and hides them from the lobe.

@@ -83,6 +83,7 @@ def test_model_selection_finds_threads_that_are_finer_than_vertices(tmp_path: Pa
     assert unseen_db(scene, truth) > 39  # 41.0 measured
 
 
+@pytest.mark.slow
 def test_few_or_black_photographs_give_physical_values(tmp_path: Path) -> None:
     """Three views, one of them black: texels with too few photographs are inpainted, all values are physical."""
     truth = brocade()

@@ -238,6 +238,7 @@ def exposed(capture: Capture, factors: Sequence[float]) -> Capture:
     return replace(capture, views=tuple(views))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fitted", "recorded"])
 def test_the_brightness_of_a_take_belongs_to_its_light_or_is_recorded(kind: str) -> None:
     """Photographs of the second take are exposed half as long, and those of each take differ.
