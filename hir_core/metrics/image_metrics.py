@@ -96,7 +96,11 @@ def ssim(fit: Image, truth: Image) -> float | None:
 
 
 class ChannelScale:
-    """Least-squares linear scale (3,) per channel between fits and truths, accumulated image by image."""
+    """The linear factor (3,) per channel that brings fits nearest to truths as sRGB, accumulated image by image.
+
+    A power of 1/2.4 stands for the curve of sRGB, which has this power above its toe: then least squares have a closed
+    form. With squares of linear colours a few highlights would decide.
+    """
 
     def __init__(self) -> None:
         self._power = np.zeros(3)
@@ -104,25 +108,22 @@ class ChannelScale:
 
     def add(self, fit_linear: Image, true_linear: Image) -> None:
         """Adds linear colours (N, 3) of the fit and of the truth at the same pixels."""
-        fit, truth = np.asarray(fit_linear, np.float64), np.asarray(true_linear, np.float64)
+        fit, truth = (np.maximum(np.asarray(c, np.float64), 0) ** (1 / SRGB_POWER) for c in (fit_linear, true_linear))
         self._power += (fit * fit).sum(axis=0)
         self._product += (fit * truth).sum(axis=0)
 
     @property
     def value(self) -> NDArray[np.float64]:
-        """The scale; 1 where the fit is black."""
-        return np.where(self._power > 0, self._product / np.maximum(self._power, 1e-300), 1.0)
+        """The factor; 1 where the fit is black."""
+        found = np.where(self._power > 0, self._product / np.maximum(self._power, 1e-300), 1.0)
+        return np.asarray(found**SRGB_POWER)
 
 
 def nearest_exposure(fit_linear: Image, true_linear: Image) -> NDArray[np.float64]:
-    """The factor (3,) per channel that brings linear colours (N, 3) of a fit nearest to those of a photograph, as sRGB.
-
-    A power of 1/2.4 stands for the curve of sRGB, which has this power above its toe: then least squares have a closed
-    form. With squares of linear colours a few highlights would decide. 1 where the fit is black.
-    """
-    fit, truth = (np.maximum(np.asarray(c, np.float64), 0) ** (1 / SRGB_POWER) for c in (fit_linear, true_linear))
-    power, product = (fit * fit).sum(axis=0), (fit * truth).sum(axis=0)
-    return np.asarray(np.where(power > 0, product / np.maximum(power, 1e-300), 1.0) ** SRGB_POWER)
+    """The factor (3,) per channel that brings linear colours (N, 3) of one fit nearest to those of a photograph."""
+    scale = ChannelScale()
+    scale.add(fit_linear, true_linear)
+    return scale.value
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ def _pictures() -> list[Case]:
             lambda: float((~np.isfinite(np.asarray(_scale_value(scale)))).sum()),
             lambda: float((~np.isfinite(np.ones(3) * 0 / np.zeros(3))).sum()),
             0.0,
-            formula="Σ fit·truth / Σ fit²",
+            formula="(Σ (fit·truth)^(1/2.4) / Σ fit^(2/2.4))^2.4",
         ),
         Case(
             "export",

@@ -111,16 +111,30 @@ def test_nothing_non_finite_leaves() -> None:
     assert metrics.mean([]) is None and metrics.mean([None, 2.0]) == 2.0
 
 
-def test_channel_scale_is_the_least_squares_one() -> None:
+def test_channel_scale_is_the_least_squares_one_of_srgb() -> None:
     generator = np.random.default_rng(2)
     fit = generator.random((200, 3))
-    truth = fit * [2.0, 0.5, 1.0] + generator.normal(0, 0.01, fit.shape)
+    truth = fit * [2.0, 0.5, 1.0] * (1 + generator.normal(0, 0.01, fit.shape))
     scale = metrics.ChannelScale()
     for part in np.array_split(np.arange(200), 7):
         scale.add(fit[part], truth[part])
-    expected = [np.linalg.lstsq(fit[:, [c]], truth[:, c], rcond=None)[0][0] for c in range(3)]
+    fit_srgb, truth_srgb = fit ** (1 / 2.4), truth ** (1 / 2.4)
+    expected = [np.linalg.lstsq(fit_srgb[:, [c]], truth_srgb[:, c], rcond=None)[0][0] ** 2.4 for c in range(3)]
     np.testing.assert_allclose(scale.value, expected, rtol=1e-12)
+    np.testing.assert_allclose(scale.value, [2.0, 0.5, 1.0], rtol=0.01)
     np.testing.assert_array_equal(metrics.ChannelScale().value, np.ones(3))
+
+
+def test_a_highlight_beside_its_place_does_not_decide_the_scale() -> None:
+    """A sun in polished metal is a few pixels, each as bright as thousands of others."""
+    truth = np.full((4_000, 3), 0.3)
+    fit = truth.copy()
+    fit[:8], truth[8:16] = 18.0, 0.99
+    scale = metrics.ChannelScale()
+    scale.add(fit, truth)
+    np.testing.assert_allclose(scale.value, np.ones(3), atol=0.15)
+    of_linear = (fit * truth).sum(axis=0) / (fit * fit).sum(axis=0)
+    assert (of_linear < 0.2).all()
 
 
 def test_missing_lpips_weights_are_said_and_nothing_is_fetched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
