@@ -49,7 +49,7 @@ class FitSettings:
     small the gradient is: a fit that goes on from another one would first move away from it."""
     alpha_frozen_share: float = 0.2
     """Share of the steps before α changes where lobes are new: under a light that is still uniform it has no meaning.
-    Where a fit with lobes goes on it is 0."""
+    Where a fit with lobes goes on it is 0. With 1 α stays as it is."""
     color_frozen_share: float = 0.0
     """Share of the steps before the base colour changes. A metal shows its reflections alone: while the light is still
     uniform, base colours of its vertices would explain them."""
@@ -111,7 +111,9 @@ def settings_of_fit(
     if not parameters.has_new_lobe(before):
         settings = replace(settings, warm_up_share=WARM_UP_SHARE)
     if before.width is not None:
-        settings = replace(settings, alpha_frozen_share=0.0)
+        # beside normals, which place a highlight where few photographs show it, a lobe becomes too narrow
+        stays = parameters.normal_offset is not None and parameters.width is not None and len(parameters.width) == 1
+        settings = replace(settings, alpha_frozen_share=1.0 if stays else 0.0)
     if effort < EXPOSURE_EFFORT and before.log_exposure is not None:
         settings = replace(settings, exposure_frozen_share=1.0)
     return settings

@@ -12,6 +12,8 @@ import torch
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import settings_of_fit
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA, Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.fit.width_search import (
     LOG_STEP,
@@ -91,6 +93,27 @@ def test_a_white_light_is_reflected_alike_at_every_width(ratio: float) -> None:
     error = (weight.sum(dim=1, keepdim=True) / (a + b) - 1)[upright].abs()
     assert float(error.max()) < 1e-4
     assert bool((grazing >= 0).all()) and bool((grazing <= weight).all())
+
+
+def test_normals_are_fitted_to_a_lobe_of_the_width_that_was_found_before_them() -> None:
+    solver, _ = solver_of()
+    lobe, observed = ModelSpec("dielectric", "uniform"), solver._pixels.of(range(6))
+    first = solver.fit(lobe, None, range(6), 0.1, lambda share: None)
+    again, beside_normals = (
+        solver.fit(spec, first, range(6), 0.05, lambda share: None).parameters
+        for spec in (lobe, replace(lobe, normals="map"))
+    )
+    assert not torch.equal(again.width, first.parameters.width)
+    assert torch.equal(beside_normals.width, first.parameters.width) and bool(beside_normals.normal_offset.any())
+
+    def frozen_share(spec: ModelSpec, before: Fit) -> float:
+        start = solver._initial_parameters(spec, before, observed)
+        return settings_of_fit(solver._options, spec, start, before.parameters, 0.3, True).alpha_frozen_share
+
+    assert frozen_share(replace(lobe, normals="map"), first) == 1
+    assert frozen_share(replace(lobe, normals="map", roughness="map"), first) == 0, "a map is found by its gradients"
+    diffuse = Fit(ModelSpec(normals="map"), replace(beside_normals, specular=None, width=None))
+    assert frozen_share(replace(lobe, normals="map"), diffuse) < 1, "a new lobe has to find its width first"
 
 
 @pytest.mark.slow
