@@ -120,7 +120,9 @@ class ChannelScale:
 
 
 def nearest_exposure(fit_linear: Image, true_linear: Image) -> NDArray[np.float64]:
-    """The factor (3,) per channel that brings linear colours (N, 3) of one fit nearest to those of a photograph."""
+    """The factor (3,) per channel that brings linear colours (N, 3) of one fit nearest to those of a photograph:
+    `ChannelScale` of one picture.
+    """
     scale = ChannelScale()
     scale.add(fit_linear, true_linear)
     return scale.value

@@ -108,12 +108,13 @@ def settings_of_fit(
         if parameters.is_metal and guess_is_uniform:
             settings = replace(settings, color_frozen_share=METAL_COLOR_FROZEN_SHARE)
         return settings
+    if before.width is not None:
+        settings = replace(settings, alpha_frozen_share=0.0)
     if not parameters.has_new_lobe(before):
         settings = replace(settings, warm_up_share=WARM_UP_SHARE)
-    if before.width is not None:
-        # beside normals, which place a highlight where few photographs show it, a lobe becomes too narrow
-        stays = parameters.normal_offset is not None and parameters.width is not None and len(parameters.width) == 1
-        settings = replace(settings, alpha_frozen_share=1.0 if stays else 0.0)
+        if parameters.normal_offset is not None and parameters.width is not None and len(parameters.width) == 1:
+            # beside normals, which place a highlight where few photographs show it, a lobe becomes too narrow
+            settings = replace(settings, alpha_frozen_share=1.0)
     if effort < EXPOSURE_EFFORT and before.log_exposure is not None:
         settings = replace(settings, exposure_frozen_share=1.0)
     return settings

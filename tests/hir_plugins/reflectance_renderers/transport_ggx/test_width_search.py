@@ -114,6 +114,8 @@ def test_normals_are_fitted_to_a_lobe_of_the_width_that_was_found_before_them() 
     assert frozen_share(replace(lobe, normals="map", roughness="map"), first) == 0, "a map is found by its gradients"
     diffuse = Fit(ModelSpec(normals="map"), replace(beside_normals, specular=None, width=None))
     assert frozen_share(replace(lobe, normals="map"), diffuse) < 1, "a new lobe has to find its width first"
+    metal = ModelSpec("metallic", "uniform", metalness="metal", normals="map")
+    assert frozen_share(metal, first) == 0, "the lobe of a metal is another one"
 
 
 @pytest.mark.slow
