@@ -16,7 +16,7 @@ from typing import Final
 
 from hir_core.plugins.manager import PluginManager
 from hir_core.testing import Result, check_component, check_whole_plugin, whole_plugin
-from hir_core.testing.running import named
+from hir_core.testing.running import named, plugin_checks
 
 ROOT = Path(__file__).resolve().parent.parent
 FAULTS_FOLDER = ROOT / "tests" / "hir_core" / "testing" / "faults"
@@ -69,14 +69,18 @@ PLACE: Final = "PLUGIN.py"
 """How the page names the file of a plugin."""
 
 
-def results_of(fault: str) -> list[Result]:
-    """The results of `hir check-plugin` for a broken plugin."""
+def results_of(fault: str, only: str = "") -> list[Result]:
+    """The results of `hir check-plugin` for a broken plugin; of one contract where `only` names it."""
     with _plugin(fault) as (name, plugins):
         whole = whole_plugin(name, plugins)
         assert whole is not None, name
-        results = check_whole_plugin(whole, raises=False)
-        for registered in named(name, plugins):
-            results += check_component(registered, plugins=plugins, raises=False)
+        results: list[Result] = []
+        chosen, of_plugins = {only} - {""}, {check.name for check in plugin_checks()}
+        if not chosen or chosen & of_plugins:
+            results += check_whole_plugin(whole, only=chosen, raises=False)
+        if not chosen & of_plugins:
+            for registered in named(name, plugins):
+                results += check_component(registered, only=chosen, plugins=plugins, raises=False)
         return [_with_short_names(result, name) for result in results] if fault not in INSTALLED else results
 
 

@@ -32,7 +32,7 @@ def shots(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> list
     folder = tmp_path_factory.mktemp("browser")
     plugins = PluginManager.discover()
     export_asset(asset(), ["glb", "hdr"], folder, plugins)
-    _, renderer = reference_renderer(plugins)
+    _, renderer = reference_renderer(plugins, "", {"render_samples": 64})
     cameras = orbit_cameras(6, 25.0, 256)[:3:2]
     theirs = render_in_browser("three.html", folder / "octants.glb", folder / "octants.hdr", cameras)
     scene = scene_from_asset(asset())

@@ -74,17 +74,16 @@ def test_every_contract_has_its_broken_plugin() -> None:
 
 
 @pytest.mark.parametrize(("kind", "component", "check"), cases(QUICK))
-def test_breaks_its_contract_and_no_other(kind: str, component: Component, check: str, plugins: PluginManager) -> None:
-    results = check_component(as_registered(kind, component), plugins=plugins, raises=False)
+def test_breaks_its_contract(kind: str, component: Component, check: str, plugins: PluginManager) -> None:
+    results = check_component(as_registered(kind, component), plugins=plugins, only=[check], raises=False)
     assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "component", "check"), cases(SLOW))
-def test_breaks_its_contract_and_no_other_slowly(
-    kind: str, component: Component, check: str, plugins: PluginManager
-) -> None:
-    test_breaks_its_contract_and_no_other(kind, component, check, plugins)
+@pytest.mark.parametrize(("kind", "component", "check"), [*cases(QUICK), *cases(SLOW)])
+def test_breaks_no_other_contract(kind: str, component: Component, check: str, plugins: PluginManager) -> None:
+    results = check_component(as_registered(kind, component), plugins=plugins, raises=False)
+    assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
 
 
 @pytest.mark.parametrize(("kind", "component"), SOUND, ids=[f"{k}-{c.name}" for k, c in SOUND])
@@ -135,18 +134,20 @@ def hir_register_regularizers():
     return [Component("{name}", "hir_plugin_{name}:Spread", summary="Keeps vertices together.",
                       requires={requires}, traits=frozenset({{"differentiable"}}), testing="hir_plugin_{name}:ideal")]
 """
+SLOW_IMPORT = "import sys, time; time.sleep(0 if 'pytest' in sys.modules else 2.5)"
+"""The contract imports the file in a process of its own; this process need not wait."""
 
 
 @pytest.mark.parametrize(
     ("check", "at_the_top", "inside", "requires"),
     [
         ("imports_light", "import torch", "", ("torch",)),
-        ("imports_quickly", "import time; time.sleep(2.5)", "", ()),
+        ("imports_quickly", SLOW_IMPORT, "", ()),
         ("requirements_declared", "", "import torch", ()),
     ],
     ids=["imports_light", "imports_quickly", "requirements_declared"],
 )
-def test_file_breaks_its_contract_and_no_other(
+def test_file_breaks_its_contract(
     check: str,
     at_the_top: str,
     inside: str,
@@ -158,7 +159,7 @@ def test_file_breaks_its_contract_and_no_other(
     path = tmp_path / f"broken_{check}.py"
     path.write_text(FILE.format(at_the_top=at_the_top, inside=inside, requires=requires, name=path.stem))
     plugins = PluginManager.discover((str(path),))
-    results = check_component(path.stem, plugins=plugins, raises=False)
+    results = check_component(path.stem, plugins=plugins, only=[check], raises=False)
     assert failed(results) == [check], [r.detail for r in results if r.outcome == "failed"]
 
 

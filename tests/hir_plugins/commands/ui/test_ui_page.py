@@ -18,12 +18,22 @@ STATE = "document.documentElement.dataset.state"
 FOCUS = "document.activeElement.id"
 
 
-@pytest.fixture
-def browser(server: UiServer, chromium: list[str], tmp_path: Path) -> Iterator[BrowserSession]:
-    with BrowserSession(chromium, tmp_path / "profile", tmp_path / "downloads") as session:
-        session.open(server.address)
-        session.wait_for(f"{STATE} === 'empty'")
+@pytest.fixture(scope="module")
+def session(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrowserSession]:
+    folder = tmp_path_factory.mktemp("browser")
+    with BrowserSession(chromium, folder / "profile", folder) as session:
         yield session
+
+
+@pytest.fixture
+def browser(server: UiServer, session: BrowserSession, tmp_path: Path) -> Iterator[BrowserSession]:
+    """The page of a server; what it stores belongs to the server's port."""
+    session.problems.clear()
+    session.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path / "downloads"))
+    session.open(server.address)
+    session.wait_for(f"{STATE} === 'empty'")
+    yield session
+    session.send("Page.navigate", url="about:blank")
 
 
 def checked(browser: BrowserSession) -> None:

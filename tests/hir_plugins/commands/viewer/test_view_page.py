@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 import subprocess
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from hir_core.errors import InputError
 from hir_core.rendering.orbit_cameras import look_at
 from hir_plugins.commands.viewer.three_modules import three_version
 from hir_plugins.commands.viewer.viewer_page import view_page
+from tests.fixtures.browser_session import BrowserSession
 from tests.fixtures.octant_asset import asset
 
 SIDE = 320
@@ -51,25 +53,27 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def shot(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> Shot:
-    """A picture (SIDE, SIDE, 3), sRGB in 0…1, of the page opened from disk with settings after the #."""
-    folder = tmp_path_factory.mktemp("shots")
+def browser(chromium: list[str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[BrowserSession]:
+    folder = tmp_path_factory.mktemp("browser")
+    with BrowserSession(chromium, folder / "profile", folder, (SIDE, SIDE)) as session:
+        yield session
 
-    def take(page: Path, settings: str, milliseconds: int = 4000) -> np.ndarray:
-        # the browser's virtual clock runs ahead of its decoders: on a busy machine it needs more of it
-        for budget in (milliseconds * factor for factor in (1, 4, 16, 64)):
-            words = [
-                *chromium,
-                f"--user-data-dir={folder / 'profile'}",
-                f"--window-size={SIDE},{SIDE}",
-                f"--virtual-time-budget={budget}",
-                f"--screenshot={folder / 'shot.png'}",
-                f"{page.as_uri()}#bare&{settings}",
-            ]
-            subprocess.run(words, check=True, capture_output=True, timeout=120)
-            picture = read_ldr(folder / "shot.png")[..., :3]
+
+@pytest.fixture(scope="module")
+def shot(browser: BrowserSession, tmp_path_factory: pytest.TempPathFactory) -> Shot:
+    """A picture (SIDE, SIDE, 3), sRGB in 0…1, of the page opened from disk with settings after the #."""
+    path = tmp_path_factory.mktemp("shots") / "shot.png"
+
+    def take(page: Path, settings: str) -> np.ndarray:
+        browser.send("Page.navigate", url="about:blank")  # or else nothing is loaded where only the settings differ
+        browser.open(f"{page.as_uri()}#bare&{settings}")
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline:
+            browser.screenshot(path)
+            picture = read_ldr(path)[..., :3]
             if np.abs(picture[SIDE // 2, SIDE // 2] * 255 - BACKGROUND).max() > 2:
                 return picture
+            time.sleep(0.05)
         raise AssertionError("the page drew nothing")
 
     return take

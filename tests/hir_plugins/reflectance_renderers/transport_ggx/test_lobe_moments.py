@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import mitsuba as mi
 import numpy as np
@@ -79,8 +80,7 @@ def test_tables_are_finite_and_a_rougher_lobe_is_wider() -> None:
     assert np.isfinite(grazing[0]).all() and np.isfinite(grazing[1]).all()
 
 
-@pytest.mark.parametrize("rho_s", [0.02, 0.7])
-def test_a_light_that_is_linear_in_the_direction_is_looked_up_exactly(rho_s: float) -> None:
+def test_a_light_that_is_linear_in_the_direction_is_looked_up_exactly() -> None:
     """The integral of such a light over a lobe depends on the lobe's mean alone; views from 18° to 81° off the normal.
 
     Cut at the horizon of the looked-up direction, the symmetric lobe keeps a small error.
@@ -91,12 +91,11 @@ def test_a_light_that_is_linear_in_the_direction_is_looked_up_exactly(rho_s: flo
     lobes = _lobes(ROWS, 2 * ROWS, PROBE_COLUMNS).flatten(1)
     filtered = (lobes @ sky).reshape(1, ALPHA_LEVELS, PROBE_ROWS * PROBE_COLUMNS, 1)
     probes = ProbeTable(RadianceProbes(filtered.expand(-1, -1, -1, 3).half()))
-    for alpha in (0.15, 0.35, 0.7):
-        for cosine in (0.15, 0.4, 0.7, 0.95):
-            eye = mi.Vector3f(-math.sqrt(1 - cosine**2), 0, cosine)
-            level = mi.Float(float(level_of(torch.tensor(alpha))))
-            lobe = lobe_of(mi.Vector3f(0, 0, 1), eye, level, mi.Float(rho_s), 1.0)
-            found = float(np.array(patch_radiance(patch_around(probes.values, mi.UInt32(0), lobe), lobe))[0, 0])
-            directions, weight = weighted_lobe(alpha, cosine, rho_s)
-            light = 1 + 0.8 * directions @ toward_light.numpy()
-            assert found == pytest.approx(float((light * weight).sum() / weight.sum()), rel=0.03), (alpha, cosine)
+    for rho_s, alpha, cosine in product((0.02, 0.7), (0.15, 0.35, 0.7), (0.15, 0.4, 0.7, 0.95)):
+        eye = mi.Vector3f(-math.sqrt(1 - cosine**2), 0, cosine)
+        level = mi.Float(float(level_of(torch.tensor(alpha))))
+        lobe = lobe_of(mi.Vector3f(0, 0, 1), eye, level, mi.Float(rho_s), 1.0)
+        found = float(np.array(patch_radiance(patch_around(probes.values, mi.UInt32(0), lobe), lobe))[0, 0])
+        directions, weight = weighted_lobe(alpha, cosine, rho_s)
+        light = 1 + 0.8 * directions @ toward_light.numpy()
+        assert found == pytest.approx(float((light * weight).sum() / weight.sum()), rel=0.03), (rho_s, alpha, cosine)
