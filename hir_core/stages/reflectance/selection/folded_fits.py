@@ -14,7 +14,12 @@ from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import Fold, folds_of_a_comparison
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
-from hir_core.stages.reflectance.selection.held_out_comparison import mean_decibels, paired_gain
+from hir_core.stages.reflectance.selection.held_out_comparison import (
+    is_better_hypothesis,
+    is_expected_to_be_better,
+    mean_decibels,
+    paired_gain,
+)
 
 T = TypeVar("T")
 
@@ -102,6 +107,25 @@ class FoldedFits(Generic[FitT, RefinementT]):
             if factors is not None and len(factors):
                 found.append(float(np.log2(np.maximum(factors, 1e-12)).std(axis=0).max()))
         return float(np.mean(found)) if found else None
+
+    def is_better(self, fit: FoldedFit[FitT], than: FoldedFit[FitT]) -> bool:
+        """Whether the hypothesis of a fit is selected over that of another, which is simpler: by held-out views, or, in
+        a tie of these, by them and the training views together.
+        """
+        gain = gain_of(fit, over=than)
+        if gain[0] <= 0 or is_better_hypothesis(*gain, len(fit.errors)):
+            return gain[0] > 0
+        before, after = self._training_errors(than, beside=fit), self._training_errors(fit, beside=than)
+        return is_expected_to_be_better(gain, paired_gain(before, after))
+
+    def _training_errors(self, fit: FoldedFit[FitT], beside: FoldedFit[FitT]) -> NDArray[np.float64]:
+        """The mean squared errors of the views that it was fitted to, for a comparison with another fit."""
+        solver, found = self._fits.solver, []
+        for number, each in zip(self.first, fit.fits, strict=False):
+            training, _ = self._folds[number]
+            errors = solver.errors_between_lights(each, training) if fit.spec.light != beside.spec.light else None
+            found.append(solver.errors(each, training) if errors is None else errors)
+        return np.concatenate(found)
 
     def in_branches(
         self, jobs: Sequence[Callable[[FoldedFits[FitT, RefinementT]], T]], ended: Callable[[T], None]

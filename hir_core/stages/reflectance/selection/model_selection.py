@@ -37,7 +37,6 @@ from hir_core.stages.reflectance.selection.folded_fits import (
 )
 from hir_core.stages.reflectance.selection.held_out_comparison import (
     SUFFICIENT_DB,
-    is_better_hypothesis,
     is_near_tie,
     mean_decibels,
 )
@@ -288,7 +287,7 @@ def _decide(
     Near ties are fitted on the other folds, too; but not where the simplest hypothesis is a special case of all that
     tie with it: it is selected in any case, and the others are compared again with the same refinements.
     """
-    tied = _tied(finalists, {each.spec: each.last for each in finalists})
+    tied = _tied(fits, finalists, {each.spec: each.last for each in finalists})
     simplest = min(tied, key=lambda each: complexity(each.spec))
     pooled: dict[ModelSpec, FoldedFit[FitT]] = {}
     rivals = [each for each in tied if each is not simplest and not contains(each.spec, simplest.spec)]
@@ -300,22 +299,26 @@ def _decide(
                 fit = halving.fit_round(each.spec, fit, budget, fits.further)
             assert fit is not None
             pooled[each.spec] = on_more_views(each.last, fit)
-        tied = _tied(tied, pooled)
+        tied = _tied(fits, tied, pooled)
     return min(tied, key=lambda each: complexity(each.spec)), pooled
 
 
-def _tied(contestants: Sequence[Contestant[FitT]], fits: Mapping[ModelSpec, FoldedFit[FitT]]) -> list[Contestant[FitT]]:
-    """The best one under the best light, those that are not worse by more than noise, and those that need no
+def _tied(
+    fits: FoldedFits[FitT, RefinementT],
+    contestants: Sequence[Contestant[FitT]],
+    last: Mapping[ModelSpec, FoldedFit[FitT]],
+) -> list[Contestant[FitT]]:
+    """Those than which none under the best light is better, the best one among them, and those that need no
     improvement.
     """
-    compared = [fits[each.spec] for each in contestants]
+    compared = [last[each.spec] for each in contestants]
     light = max(compared, key=lambda fit: mean_decibels(fit.errors_between_lights)).spec.light
-    best = max((fit for fit in compared if fit.spec.light == light), key=lambda fit: fit.held_out_db)
+    under_it = [fit for fit in compared if fit.spec.light == light]
     return [
         each
         for each in contestants
-        if fits[each.spec].held_out_db >= SUFFICIENT_DB
-        or not is_better_hypothesis(*gain_of(best, over=fits[each.spec]), len(best.errors))
+        if last[each.spec].held_out_db >= SUFFICIENT_DB
+        or not any(fits.is_better(fit, than=last[each.spec]) for fit in under_it)
     ]
 
 

@@ -23,7 +23,6 @@ from hir_core.stages.reflectance.selection.held_out_comparison import (
     SMALLEST_ERROR,
     SUFFICIENT_DB,
     differs,
-    is_better_hypothesis,
     is_near_tie,
     is_refined,
     paired_gain,
@@ -144,12 +143,12 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         gain, standard_error = gain_of(fit, over=self.fit)
         views = len(fit.errors)
         if simpler:
-            accepted = not is_better_hypothesis(-gain, standard_error, views)
+            accepted = not self._fits.is_better(self.fit, than=fit)
         elif spec.light_frame != self.spec.light_frame:
             # the simpler light stays in a near tie: a wrong one spoils every relit picture
             accepted = not is_near_tie(gain, standard_error, views)
         else:
-            accepted = is_better_hypothesis(gain, standard_error, views)
+            accepted = self._fits.is_better(fit, than=self.fit)
         if accepted:
             self.fit, self._has_control = fit, False
         self._record(fit, gain, standard_error, accepted)

@@ -59,7 +59,7 @@ class Scripted(ReflectanceSolver[Fit, None]):
         return Fit(spec, effort + (initial.effort if initial else 0.0), tuple(views))
 
     def errors(self, fit: Fit, views: Sequence[int]) -> np.ndarray:
-        assert set(fit.views).isdisjoint(views)
+        assert set(fit.views).isdisjoint(views) or set(fit.views).issuperset(views), "held out or fitted, not both"
         try:
             error = self._error(fit.spec, fit.effort)  # type: ignore[call-arg]
         except TypeError:

@@ -187,6 +187,25 @@ def test_a_large_mean_gain_decides_though_it_may_be_noise(shift: float, expected
     assert selection.hypothesis.kind == expected and selection.is_near_tie
 
 
+@pytest.mark.parametrize(
+    ("held_out", "training", "expected"),
+    [(0.3, 3.0, "mixed"), (0.3, 1.5, "diffuse"), (-0.2, 6.0, "diffuse")],
+    ids=["training views gain much", "they gain less", "held-out views lose"],
+)
+def test_training_views_decide_where_held_out_views_do_not(held_out: float, training: float, expected: str) -> None:
+    """Gains of held-out views differ much, so their mean is within noise: few of them show the reflection of a sun."""
+    uneven = np.array([4.0, -3.5, 2.5, -3.0, 3.5, -3.5])
+
+    class FewJudges(Scripted):
+        def errors(self, fit: Fit, views: Sequence[int]) -> np.ndarray:
+            judging = len(views) <= len(uneven)
+            ahead = np.resize(uneven, len(views)) + held_out if judging else np.full(len(views), training)
+            return np.asarray(super().errors(fit, views) * 10 ** (-ahead * (fit.spec.kind == "mixed") / 10))
+
+    solver = FewJudges(lambda spec: level(25 - 9 * (spec.kind in ("dielectric", "metal"))))
+    assert select(solver, ReflectanceSettings(light_frame="world")).hypothesis.kind == expected
+
+
 def test_an_expected_gain_is_smaller_the_noisier_it_is() -> None:
     assert expected_gain(2.0, 0.0) == 2.0 and expected_gain(2.0, 3.0) == pytest.approx(1.0)
     assert expected_gain(2.0, float("inf")) == 0.0 and expected_gain(-2.0, 3.0) == pytest.approx(-1.0)
