@@ -109,17 +109,22 @@ class FoldedFits(Generic[FitT, RefinementT]):
         return float(np.mean(found)) if found else None
 
     def is_better(self, fit: FoldedFit[FitT], than: FoldedFit[FitT]) -> bool:
-        """Whether the hypothesis of a fit is selected over that of another, which is simpler: by held-out views, or, in
-        a tie of these, by them and the training views together.
+        """Whether a fit shows that its hypothesis is better: by held-out views or, where these gain within noise, by
+        them and the training views together.
         """
         gain = gain_of(fit, over=than)
-        if gain[0] <= 0 or is_better_hypothesis(*gain, len(fit.errors)):
-            return gain[0] > 0
+        if is_better_hypothesis(*gain, len(fit.errors)):
+            return True
+        if gain[0] <= 0:
+            return False  # whatever a model with more freedom gains on the views that it was fitted to
         before, after = self._training_errors(than, beside=fit), self._training_errors(fit, beside=than)
         return is_expected_to_be_better(gain, paired_gain(before, after))
 
     def _training_errors(self, fit: FoldedFit[FitT], beside: FoldedFit[FitT]) -> NDArray[np.float64]:
-        """The mean squared errors of the views that it was fitted to, for a comparison with another fit."""
+        """The mean squared errors of the training views, for a comparison with another fit.
+
+        Of a fit on further folds, too, those of the first folds alone: they share most training views with the others.
+        """
         solver, found = self._fits.solver, []
         for number, each in zip(self.first, fit.fits, strict=False):
             training, _ = self._folds[number]

@@ -103,14 +103,11 @@ def is_better_hypothesis(gain: float, standard_error: float, views: int) -> bool
 
 
 def is_expected_to_be_better(held_out: tuple[float, float], training: tuple[float, float]) -> bool:
-    """Whether held-out and training views together let a large gain be expected, and held-out views do not contradict.
-
-    Each has a gain and its standard error.
-    """
+    """Whether a large gain is expected of held-out and training views together: for each, a gain and its error."""
     (gain, standard_error), weight = held_out, TRAINING_WEIGHT
     together = (1 - weight) * gain + weight * training[0]
     noise = float(np.hypot((1 - weight) * standard_error, weight * training[1]))
-    return gain > 0 and expected_gain(together, noise) >= LEAST_EXPECTED_GAIN_DB
+    return expected_gain(together, noise) >= LEAST_EXPECTED_GAIN_DB
 
 
 def expected_gain(gain: float, standard_error: float) -> float:

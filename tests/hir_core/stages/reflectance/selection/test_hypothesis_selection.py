@@ -21,7 +21,11 @@ from hir_core.stages.reflectance.reflectance_report import (
     near_tie_warning,
 )
 from hir_core.stages.reflectance.selection.fit_sequence import MAX_FITS_AT_ONCE, FitSequence, fits_at_once
-from hir_core.stages.reflectance.selection.held_out_comparison import expected_gain, is_better_hypothesis
+from hir_core.stages.reflectance.selection.held_out_comparison import (
+    expected_gain,
+    is_better_hypothesis,
+    is_expected_to_be_better,
+)
 from hir_core.stages.reflectance.selection.hypotheses import contains, hypotheses, hypothesis
 from hir_core.stages.reflectance.selection.model_selection import select_model
 from hir_core.stages.reflectance.selection.refinement_selection import COMPARISON
@@ -214,6 +218,13 @@ def test_an_expected_gain_is_smaller_the_noisier_it_is() -> None:
         "small ones by their noise alone"
     )
     assert not is_better_hypothesis(9.0, float("inf"), 1)
+
+
+def test_training_views_count_little_and_not_without_held_out_ones() -> None:
+    """A vase of painted metal beside a diffuse one, and gold beside gold with plastic, which has more freedom."""
+    assert is_expected_to_be_better(held_out=(0.10, 3.07), training=(8.74, 0.80))
+    assert not is_expected_to_be_better(held_out=(0.13, 0.14), training=(0.66, 0.09))
+    assert not is_expected_to_be_better(held_out=(9.0, float("inf")), training=(9.0, 0.1)), "one held-out view"
 
 
 @pytest.mark.parametrize("relief", [False, True], ids=["", "normals that only the runner-up shows"])
