@@ -76,17 +76,15 @@ def fit(
     resident = ResidentBatches(
         batches, parameters, start.detached(), settings.model, settings.refresh_interval, predicted
     )
-    searches_width = parameters.width is not None and len(parameters.width) == 1
-    fitted_loss, searched_at = math.nan, -1
+    has_width_map = parameters.width is not None and len(parameters.width) > 1
+    fitted_loss, searched_at, mean_width = math.nan, -1, math.nan
 
     def search_width(step: int) -> None:
-        nonlocal searched_at
-        if step == searched_at or step % settings.refresh_interval or not searches_width:
+        nonlocal searched_at, mean_width
+        if step == searched_at or step % settings.refresh_interval or parameters.width is None:
             return
         searched_at = step
         if step >= settings.alpha_frozen_share * settings.steps:
-            assert parameters.width is not None
-
             regularizers = None if prepared is None else prepared.of_widths(parameters, step)
 
             def loss_of(moved: Parameters) -> float:
@@ -95,6 +93,7 @@ def fit(
                 return pixels if regularizers is None else pixels + regularizers(moved)
 
             parameters.width.data.copy_(searched_width(parameters, loss_of))
+            mean_width = float(parameters.width.detach().mean())
 
     def loss(step: int) -> dict[str, Tensor]:
         nonlocal fitted_loss
@@ -114,7 +113,9 @@ def fit(
 
     def freeze(step: int) -> None:
         smooth_gradients(parameters, grid)
-        if parameters.width is not None and (searches_width or step < settings.alpha_frozen_share * settings.steps):
+        if parameters.width is not None and not (
+            has_width_map and step >= settings.alpha_frozen_share * settings.steps
+        ):
             parameters.width.grad = None  # a uniform width is searched, for the terms, too
         if parameters.log_exposure is not None and step < settings.exposure_frozen_share * settings.steps:
             parameters.log_exposure.grad = None
@@ -128,6 +129,10 @@ def fit(
         if parameters.specular is not None and settings.model in ("dielectric", "metallic"):
             with torch.no_grad():
                 parameters.specular.clamp_(max=math.log(MAX_FITTED_F0 / (1 - MAX_FITTED_F0)))
+        if has_width_map and math.isfinite(mean_width):
+            with torch.no_grad():
+                assert parameters.width is not None
+                parameters.width.add_(mean_width - parameters.width.mean())
         if math.isfinite(fitted_loss):
             on_step(step, fitted_loss)
         return False

@@ -1,7 +1,9 @@
-"""The GGX width of a uniform lobe, found by comparing the losses of neighbouring widths, each with lobes of its own.
+"""The GGX width of a lobe, found by comparing the losses of neighbouring widths, each with lobes of its own.
 
 Gradients do not find it: for directions that were drawn at one width, another width changes only the weights, and that
-noise raises the loss on both sides, more than the wrong width does (docs/studies/lobe_width.md).
+noise raises the loss on both sides, more than the wrong width does (docs/studies/lobe_width.md). Of a map the mean is
+searched and what differs from it has gradients, from lobes that are drawn for them; they alone make all widths narrower
+than the losses of neighbouring maps do.
 """
 
 from __future__ import annotations
@@ -11,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -25,18 +26,20 @@ of both lies farther in the same direction. Below 2, or the search would not con
 MAX_ALPHA: Final = 0.95
 
 
-def searched_width(parameters: Parameters, loss_of: Callable[[Parameters], float]) -> Float[Tensor, "1 1"]:
-    """The unconstrained width after one step of the search, with light and albedos as they are.
+def searched_width(parameters: Parameters, loss_of: Callable[[Parameters], float]) -> Float[Tensor, "#V 1"]:
+    """The unconstrained width after one step of the search, with light and albedos as they are. Every α of a map
+    changes by the same factor.
 
     `loss_of` draws lobes for the parameters that it gets, with the same random numbers each time, and returns the loss
     of the pixels. The three losses give a parabola of the logarithm of α.
     """
-    assert parameters.width is not None
-    alpha = float(parameters.alpha.detach())
-    moved = [min(max(alpha * math.exp(step), MIN_ALPHA), MAX_ALPHA) for step in (-LOG_STEP, 0.0, LOG_STEP)]
-    below, here, above = (loss_of(replace(parameters, width=_width(parameters, value))) for value in moved)
-    step = OVER_RELAXATION * step_to_minimum(below, here, above) * LOG_STEP
-    return _width(parameters, min(max(alpha * math.exp(step), MIN_ALPHA), MAX_ALPHA))
+    alpha = parameters.alpha.detach()
+
+    def at(step: float) -> Float[Tensor, "#V 1"]:
+        return logit_of_alpha((alpha * math.exp(step)).clamp(MIN_ALPHA, MAX_ALPHA))
+
+    below, here, above = (loss_of(replace(parameters, width=at(step))) for step in (-LOG_STEP, 0.0, LOG_STEP))
+    return at(OVER_RELAXATION * step_to_minimum(below, here, above) * LOG_STEP)
 
 
 def step_to_minimum(below: float, here: float, above: float) -> float:
@@ -47,8 +50,3 @@ def step_to_minimum(below: float, here: float, above: float) -> float:
     if abs(slope) >= curvature:
         return float((slope < 0) - (slope > 0))
     return -slope / curvature
-
-
-def _width(parameters: Parameters, alpha: float) -> Float[Tensor, "1 1"]:
-    assert parameters.width is not None
-    return logit_of_alpha(torch.full_like(parameters.width.detach(), alpha))

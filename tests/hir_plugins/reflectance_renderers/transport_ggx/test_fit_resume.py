@@ -62,12 +62,13 @@ def test_an_interrupted_fit_ends_with_the_same_bits(tmp_path: Path, resident: in
         ModelSpec("metallic", "uniform", metalness="metal"),
         pytest.param(ModelSpec("metallic", "uniform", metalness="map"), marks=pytest.mark.slow),
         ModelSpec("dielectric", "uniform", lamp=True),
+        ModelSpec("dielectric", "uniform", roughness="map"),
     ],
-    ids=["metal", "map", "lamp"],
+    ids=["metal", "map", "lamp", "roughness"],
 )
 def test_an_interrupted_fit_of_more_parameters_ends_with_the_same_bits(tmp_path: Path, spec: ModelSpec) -> None:
     """Metalness is part of the state, infinite logits included; its prior grows with the step. So are a lamp and its
-    shadows.
+    shadows, and the mean width of a map, which stays between two searches.
     """
     checkpoint = FitCheckpoint(tmp_path / "fit", -1.0)
     with pytest.raises(KeyboardInterrupt):

@@ -12,7 +12,8 @@ import torch
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import EnvironmentMap, Material, Scene
 from hir_plugins.reflectance_renderers.brdf_torch import directional_albedo_terms
-from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import settings_of_fit
+from hir_plugins.reflectance_renderers.transport_ggx.fit import joint_optimization
+from hir_plugins.reflectance_renderers.transport_ggx.fit.fit_settings import FitSettings, settings_of_fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.fit.parameters import MIN_ALPHA, Parameters, logit_of_alpha
 from hir_plugins.reflectance_renderers.transport_ggx.fit.width_search import (
@@ -63,6 +64,43 @@ def test_repeated_searches_find_the_width_of_least_loss(start: float) -> None:
         width = searched_width(parameters, lambda moved: math.log(float(moved.alpha) / 0.12) ** 2)
         parameters = replace(parameters, width=width)
     assert float(parameters.alpha) == pytest.approx(0.12, rel=0.02)
+
+
+def test_every_width_of_a_map_changes_by_the_same_factor() -> None:
+    """To the factor of least loss; none leaves the limits."""
+    alpha = torch.tensor([[0.05], [0.2], [0.6]])
+    parameters = replace(parameters_with(0.1), width=logit_of_alpha(alpha))
+    goal = 0.1 * alpha / alpha.log().mean().exp()
+    for _ in range(12):
+        width = searched_width(parameters, lambda moved: float((moved.alpha.log().mean() - math.log(0.1)).square()))
+        assert width.shape == alpha.shape
+        parameters = replace(parameters, width=width)
+    torch.testing.assert_close(parameters.alpha, goal, rtol=0.02, atol=0)
+    for sign, limit in ((-1, MAX_ALPHA), (1, MIN_ALPHA)):
+        for _ in range(20):
+            width = searched_width(parameters, lambda moved, s=sign: s * float(moved.alpha.sum()))  # type: ignore[misc]
+            parameters = replace(parameters, width=width)
+        torch.testing.assert_close(parameters.alpha, torch.full_like(alpha, limit), rtol=0, atol=2e-3)
+
+
+def test_between_two_searches_a_map_keeps_its_mean(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gradients change what differs from it."""
+    searched: list[torch.Tensor] = []
+
+    def twice_as_wide(parameters: Parameters, loss_of: object) -> torch.Tensor:
+        searched.append(logit_of_alpha(0.1 * 2.0 ** len(searched) * torch.ones_like(parameters.alpha)))
+        return searched[-1]
+
+    monkeypatch.setattr(joint_optimization, "searched_width", twice_as_wide)
+    solver, _ = solver_of()
+    spec, observed = ModelSpec("dielectric", "uniform", roughness="map"), solver._pixels.of(range(6))
+    start = solver._initial_parameters(spec, None, observed)
+    settings = FitSettings(8, "dielectric", 0, refresh_interval=5, alpha_frozen_share=0.0)
+    batches = solver._pixels.batches(observed, spec)
+    fitted = joint_optimization.fit(solver._transport, batches, start, settings, solver._edges, lambda step, loss: None)
+    assert len(searched) == 2 and fitted.width is not None
+    assert float(fitted.width.mean()) == pytest.approx(float(searched[-1].mean()), abs=1e-5)
+    assert float(fitted.width.std()) > 0.001
 
 
 def test_one_search_moves_no_farther_than_it_says_and_stays_within_the_limits() -> None:
