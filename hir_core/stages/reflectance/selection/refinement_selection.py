@@ -32,6 +32,10 @@ from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, Bud
 REQUIRED_STANDARD_ERRORS_OF_NORMALS = 2.0
 """Two more values for each vertex can imitate much: on three views of a smooth ball under a sun, normals gained
 3.1 ± 2.7 dB. Six more values for each texel can imitate more, so this holds for the per-texel BRDF too."""
+MIN_GAIN_OF_ROUGHNESS_MAP_DB = 0.3
+"""Held-out views stand under the light of the fit, and a map of the roughness can imitate what is wrong with that
+light: maps that gained less there gain nothing on unseen and relit views (docs/studies/lobe_width.md#the-mean-of-a-map).
+"""
 COMPARISON = Budget(0.3, 0.3)
 """What each candidate and its control get."""
 
@@ -251,13 +255,20 @@ class RefinementSelection(Generic[FitT, RefinementT]):
         selected because its turn comes first.
         """
         compared = self._all_against_control([spec for spec in specs if self._is_worth_comparing(spec)])
-        gaining = [each for each in compared if is_refined(self.fit.errors, each[0].errors)]
+        gaining = [each for each in compared if self._gains_enough(each[0], each[1])]
         best = max(gaining, key=lambda each: each[1], default=None)
         for each in compared:
             self._record(*each, accepted=each is best)
         if best is not None:
             self.fit, self._has_control = best[0], False
         return best is not None
+
+    def _gains_enough(self, fit: FoldedFit[FitT], gain: float) -> bool:
+        """Whether one more map or colour in the lobe is accepted for its gain."""
+        adds_roughness = fit.spec.roughness == "map" and self.spec.roughness != "map"
+        if adds_roughness and gain < MIN_GAIN_OF_ROUGHNESS_MAP_DB:
+            return False
+        return is_refined(self.fit.errors, fit.errors)
 
     def _is_worth_comparing(self, spec: ModelSpec, simpler: bool = False) -> bool:
         """Nothing is added to a fit that needs no improvement, and nothing is compared that the solver does not fit."""

@@ -209,6 +209,16 @@ def test_the_map_that_gains_most_is_selected_first() -> None:
     assert again.spec == replace(selection.spec, specular="map"), "what is left is compared with the new model"
 
 
+@pytest.mark.parametrize(("gain", "accepted"), [(0.2, False), (0.4, True)])
+@pytest.mark.parametrize("part", ["roughness", "specular"])
+def test_a_roughness_map_needs_more_gain_than_other_maps(part: str, gain: float, accepted: bool) -> None:
+    def error(spec: ModelSpec) -> float:
+        return level(20 + (gain if getattr(spec, part) == "map" else 0))
+
+    selection = select(Scripted(error), ReflectanceSettings(brdf="dielectric", light_frame="world"))
+    assert (getattr(selection.spec, part) == "map") == (accepted or part == "specular")
+
+
 def test_no_per_texel_brdf_after_maps_of_the_lobe_at_vertices() -> None:
     def error(spec: ModelSpec) -> float:
         return 1e-3 * 0.5 ** sum([spec.brdf == "dielectric", spec.roughness == "map", spec.per_texel == "brdf"])
