@@ -34,8 +34,7 @@ REQUIRED_STANDARD_ERRORS_OF_NORMALS = 2.0
 3.1 ± 2.7 dB. Six more values for each texel can imitate more, so this holds for the per-texel BRDF too."""
 MIN_GAIN_OF_ROUGHNESS_MAP_DB = 0.3
 """Held-out views stand under the light of the fit, and a map of the roughness can imitate what is wrong with that
-light: maps that gained less there gain nothing on unseen and relit views (docs/studies/lobe_width.md#the-mean-of-a-map).
-"""
+light. Maps that gained less there gain nothing on unseen and relit views (docs/studies/lobe_width.md)."""
 COMPARISON = Budget(0.3, 0.3)
 """What each candidate and its control get."""
 
