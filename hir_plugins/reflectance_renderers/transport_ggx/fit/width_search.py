@@ -1,9 +1,10 @@
 """The GGX width of a lobe, found by comparing the losses of neighbouring widths, each with lobes of its own.
 
 Gradients do not find it: for directions that were drawn at one width, another width changes only the weights, and that
-noise raises the loss on both sides, more than the wrong width does (docs/studies/lobe_width.md). Of a map the mean is
-searched and what differs from it has gradients, from lobes that are drawn for them; they alone make all widths narrower
-than the losses of neighbouring maps do.
+noise raises the loss on both sides, more than the wrong width does (docs/studies/lobe_width.md).
+
+Of a map the mean is searched. What differs from the mean has gradients, from lobes that are drawn for them. Gradients
+alone make the whole map narrower than the losses of neighbouring maps ask for.
 """
 
 from __future__ import annotations
