@@ -210,12 +210,8 @@ def test_dents_are_found_in_photographs(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    reason="the fit without normals ends at a roughness of .17 (true: .3); normals that start there gain -.11 ± .38 dB",
-)
 def test_model_selection_finds_dents(tmp_path: Path) -> None:
-    """Under an unknown light."""
+    """Under an unknown light. A roughness map, which gains .07 ± .07 dB on held-out views, imitates them."""
     mesh = ball()
     truth = bumpy(mesh)
     scene, report = fitted(
@@ -223,7 +219,7 @@ def test_model_selection_finds_dents(tmp_path: Path) -> None:
     )
     assert "normal map" in report.model
     assert scene.material is not None and scene.material.normal is not None
-    assert unseen_db(scene, truth) > 30
+    assert unseen_db(scene, truth) > 36, "34.6 dB with the roughness map"
 
 
 def test_a_light_on_the_camera_excludes_normal_maps(tmp_path: Path) -> None:
