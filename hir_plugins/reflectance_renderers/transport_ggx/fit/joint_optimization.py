@@ -113,9 +113,8 @@ def fit(
 
     def freeze(step: int) -> None:
         smooth_gradients(parameters, grid)
-        if parameters.width is not None and not (
-            has_width_map and step >= settings.alpha_frozen_share * settings.steps
-        ):
+        is_frozen = step < settings.alpha_frozen_share * settings.steps
+        if parameters.width is not None and (is_frozen or not has_width_map):
             parameters.width.grad = None  # a uniform width is searched, for the terms, too
         if parameters.log_exposure is not None and step < settings.exposure_frozen_share * settings.steps:
             parameters.log_exposure.grad = None
@@ -129,10 +128,9 @@ def fit(
         if parameters.specular is not None and settings.model in ("dielectric", "metallic"):
             with torch.no_grad():
                 parameters.specular.clamp_(max=math.log(MAX_FITTED_F0 / (1 - MAX_FITTED_F0)))
-        if has_width_map and math.isfinite(mean_width):
-            with torch.no_grad():
-                assert parameters.width is not None
-                parameters.width.add_(mean_width - parameters.width.mean())
+        if has_width_map and math.isfinite(mean_width):  # before the first search there is none
+            assert parameters.width is not None
+            parameters.width.data.add_(mean_width - parameters.width.data.mean())
         if math.isfinite(fitted_loss):
             on_step(step, fitted_loss)
         return False
