@@ -46,19 +46,19 @@ def measured(path: Path, stops: float, white_balance: float, seed: int) -> dict[
     assert isinstance(solver, TransportSolver)
     folds = model_selection_folds(len(capture.views))
     training = list(folds[0][0])
+    positions = np.stack([camera.center for camera in capture.cameras])
     began = time.process_time()
     found = initial_exposures(
         transport_of(solver).surface,
         solver._pixels.of(training),
-        np.stack([camera.center for camera in capture.cameras]),
+        positions,
     ).numpy()
     seconds = time.process_time() - began
     error = found[training] / np.log(2) - np.log2(factors[training])
     error -= error.mean(axis=0)
     began = time.process_time()
-    selection = select_exposures(
-        FoldedFits(FitSequence(solver, lambda name, share: None), folds), hypotheses(ReflectanceSettings()), False
-    )
+    fits = FoldedFits(FitSequence(solver, lambda name, share: None), folds, positions)
+    selection = select_exposures(fits, hypotheses(ReflectanceSettings()), False)
     return {
         "capture": path.name,
         "kind": json.loads((path / "truth.json").read_text(encoding="utf-8"))["kind"],

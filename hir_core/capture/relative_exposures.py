@@ -78,6 +78,17 @@ def corrections_of_takes(
     return np.exp(-found)
 
 
+def without_reflections_of_takes(
+    logarithms: Float[Array, "V C"], toward: Float[NDArray[np.floating], "V 3"], takes: Sequence[int]
+) -> Float[Array, "V C"]:
+    """`without_reflections` of the views of each take, which has a light of its own."""
+    found = np.zeros_like(logarithms)
+    for take in sorted(set(takes)):
+        own = np.flatnonzero(np.asarray(takes) == take)
+        found[own] = without_reflections(logarithms[own], np.asarray(toward[own], np.float64))
+    return found
+
+
 def without_reflections(common: Array, toward: Array) -> Array:
     """The part of values (views, channels) that differs at random between views; `toward`: directions to cameras."""
     if len(common) < 2:

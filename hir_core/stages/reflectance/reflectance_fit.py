@@ -182,6 +182,7 @@ def _fit_by_solver(
         fits_lamp,
         takes=capture.take_numbers,
         exposures_differ=len(exposures) > 1 and exposures_differ(scene.mesh, capture),
+        camera_positions=np.stack([camera.center for camera in capture.cameras]),
     )
     solver = fits.solver
     fit, spec = selection.fit, selection.spec

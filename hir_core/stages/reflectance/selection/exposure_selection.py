@@ -21,7 +21,13 @@ from hir_core.plugins.model_spec import ModelSpec
 from hir_core.scene import Mesh
 from hir_core.stages.reflectance.selection.fit_sequence import fit_cost
 from hir_core.stages.reflectance.selection.folded_fits import FoldedFit, FoldedFits
-from hir_core.stages.reflectance.selection.held_out_comparison import MIN_GAIN_DB, is_significant, paired_gain
+from hir_core.stages.reflectance.selection.held_out_comparison import (
+    LEAST_EXPECTED_GAIN_DB,
+    MIN_GAIN_DB,
+    expected_gain,
+    is_significant,
+    paired_gain,
+)
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 
 REQUIRED_STANDARD_ERRORS_OF_EXPOSURES = 2.0
@@ -146,16 +152,24 @@ def exposures_are_confirmed(
     """Whether held-out views confirm the exposures of `after`: they gain so much that exposures explain it, and fitted
     exposures differ by more than they are off.
 
-    Where colours of the same places `differ` between photographs, it is enough that held-out views do not lose: a model
-    that explains too little shows no gain, and the colours are evidence that does not depend on it.
+    Where they change smoothly from camera to camera they may imitate reflections of a metal, and must gain
+    `LEAST_EXPECTED_GAIN_DB`: an automatic camera changes exposure in steps. Where colours of the same places `differ`
+    between photographs, it is enough that held-out views do not lose: a model that explains too little shows no gain,
+    and the colours are evidence that does not depend on it.
     """
     gain, standard_error = paired_gain(before.errors, after.errors)
     if differ:
         return not is_significant(-gain, standard_error, len(after.errors))
-    deviation = fits.exposure_deviation(after)
-    if deviation is not None and deviation < LEAST_DEVIATION_STOPS:
+    if _are_equal(fits.exposure_deviation(after)):
+        return False
+    is_smooth = _are_equal(fits.exposure_deviation(after, smooth_part=False))
+    if is_smooth and expected_gain(gain, standard_error) < LEAST_EXPECTED_GAIN_DB:
         return False
     return is_significant(gain, standard_error, len(after.errors), REQUIRED_STANDARD_ERRORS_OF_EXPOSURES)
+
+
+def _are_equal(deviation: float | None) -> bool:
+    return deviation is not None and deviation < LEAST_DEVIATION_STOPS
 
 
 def simplest_under_each_light(hypotheses: Sequence[ModelSpec]) -> list[ModelSpec]:

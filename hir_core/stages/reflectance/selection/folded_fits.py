@@ -8,8 +8,10 @@ from functools import partial
 from typing import Generic, TypeVar, final
 
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
+from hir_core.capture.relative_exposures import without_reflections_of_takes
 from hir_core.plugins.interfaces import FitT, RefinementT
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.stages.held_out_views import Fold, folds_of_a_comparison
@@ -67,9 +69,17 @@ def on_more_views(fit: FoldedFit[FitT], further: FoldedFit[FitT]) -> FoldedFit[F
 class FoldedFits(Generic[FitT, RefinementT]):
     """Fits models on as many folds as give `MIN_HELD_OUT_VIEWS` judges."""
 
-    def __init__(self, fits: FitSequence[FitT, RefinementT], folds: Sequence[Fold]) -> None:
+    def __init__(
+        self,
+        fits: FitSequence[FitT, RefinementT],
+        folds: Sequence[Fold],
+        camera_positions: Float[NDArray[np.floating], "views 3"] | None = None,
+        takes: Sequence[int] = (),
+    ) -> None:
+        """`camera_positions`: around the object at the origin. `takes`: the number of each view's take; empty for one."""
         self._fits = fits
         self._folds = list(folds)
+        self._camera_positions, self._takes = camera_positions, takes
         self.first = folds_of_a_comparison(folds)
         """The folds of every fit."""
         self.further = range(len(self.first), len(folds))
@@ -97,16 +107,27 @@ class FoldedFits(Generic[FitT, RefinementT]):
             between_lights.append(errors[-1] if own is None else own)
         return FoldedFit(spec, tuple(fits), np.concatenate(errors), np.concatenate(between_lights))
 
-    def exposure_deviation(self, fit: FoldedFit[FitT]) -> float | None:
+    def exposure_deviation(self, fit: FoldedFit[FitT], smooth_part: bool = True) -> float | None:
         """How far a fit's exposures differ between photographs: standard deviation in stops, of the channel where it is
         largest, mean over the folds; None where the solver tells none.
+
+        `smooth_part`: whether what changes smoothly from camera to camera counts; it does where no positions are known.
         """
         found = []
         for (training, _), each in zip(self._folds, fit.fits, strict=False):
             factors = self._fits.solver.exposures(each, training)
             if factors is not None and len(factors):
-                found.append(float(np.log2(np.maximum(factors, 1e-12)).std(axis=0).max()))
+                stops = np.log2(np.maximum(factors, 1e-12))
+                if not smooth_part:
+                    stops = self._without_reflections(stops, training)
+                found.append(float(stops.std(axis=0).max()))
         return float(np.mean(found)) if found else None
+
+    def _without_reflections(self, stops: NDArray[np.float64], views: Sequence[int]) -> NDArray[np.float64]:
+        if self._camera_positions is None:
+            return stops
+        takes = [self._takes[view] for view in views] if len(self._takes) else [0] * len(views)
+        return without_reflections_of_takes(stops, self._camera_positions[list(views)], takes)
 
     def is_better(self, fit: FoldedFit[FitT], than: FoldedFit[FitT]) -> bool:
         """Whether a fit shows that its hypothesis is better: by held-out views or, where these gain within noise, by
@@ -138,7 +159,7 @@ class FoldedFits(Generic[FitT, RefinementT]):
         """The results of jobs that do not depend on each other, in their order: `FitSequence.in_branches`."""
 
         def with_fits(job: Callable[[FoldedFits[FitT, RefinementT]], T]) -> Callable[..., T]:
-            return lambda fits: job(FoldedFits(fits, self._folds))
+            return lambda fits: job(FoldedFits(fits, self._folds, self._camera_positions, self._takes))
 
         return self._fits.in_branches([with_fits(job) for job in jobs], ended)
 

@@ -149,6 +149,7 @@ def select_model(
     fits_lamp: bool = False,
     takes: Sequence[int] = (),
     exposures_differ: bool = False,
+    camera_positions: NDArray[np.float64] | None = None,
 ) -> Selection[FitT]:
     """Fits training views and decides on held-out views.
 
@@ -156,11 +157,12 @@ def select_model(
     that of `fits`. Of several `exposures`, the simplest first, those are selected that held-out views ask for; without
     held-out views the first. `fits_lamp`: whether the solver fits a lamp near the camera. `takes`: the number of each
     view's take, of which each leaves views to the fit. `exposures_differ`: whether photographs show the same places of
-    the mesh in different brightness.
+    the mesh in different brightness. `camera_positions` (views, 3), around the object at the origin: fitted exposures
+    that change smoothly from camera to camera must gain more; without them all count alike.
     """
     folds = model_selection_folds(views, takes)
     forced = forced_spec(settings)
-    folded = FoldedFits(fits, folds) if folds else None
+    folded = FoldedFits(fits, folds, camera_positions, takes) if folds else None
     shown = ExposureSelection(exposures[0])
     admitted, lamp = hypotheses(settings), None
     if forced is None and folded is not None and fits_lamp and (lamps := lamp_hypotheses(settings)):

@@ -173,6 +173,41 @@ def test_fitted_exposures_that_hardly_differ_are_equal(stops: float, expected: s
     assert with_evidence.spec.exposures == "fitted", "colours of the same places say that exposures differ"
 
 
+POSITIONS = np.stack([np.cos(ANGLES := np.linspace(0, 2 * np.pi, 48, endpoint=False)), np.sin(ANGLES), 0 * ANGLES], -1)
+"""Of 48 cameras around the object."""
+SMOOTH = 2 ** (0.3 * np.cos(ANGLES))
+IN_STEPS = 2 ** (np.round(3 * 0.6 * np.cos(ANGLES)) / 3)
+"""As an automatic camera sets them: thirds of a stop."""
+
+
+@pytest.mark.parametrize("takes", [[], [0] * 24 + [1] * 24], ids=["one take", "two takes"])
+@pytest.mark.parametrize(
+    ("factors", "gain_db", "expected"),
+    [(SMOOTH, 0.5, "equal"), (SMOOTH, 2.0, "fitted"), (IN_STEPS, 0.5, "fitted")],
+    ids=["smooth", "smooth, much gained", "in steps"],
+)
+def test_exposures_that_change_smoothly_from_camera_to_camera_must_gain_more(
+    factors: np.ndarray, gain_db: float, expected: str, takes: Sequence[int]
+) -> None:
+    """They may imitate the reflections of a metal."""
+
+    class Telling(ExposedSolver):
+        def exposures(self, fit: Fit, views: Sequence[int]) -> np.ndarray | None:
+            return None if fit.exposures == "equal" else factors[list(views), None] * np.ones(3)  # type: ignore[attr-defined]
+
+    def selected_with(positions: np.ndarray | None) -> str:
+        levels = {("equal", "equal"): 15.0, ("equal", "fitted"): 20.0, ("fitted", "fitted"): 20.0 + gain_db}
+        recorder = Recorder()
+        fits = FitSequence(Telling(levels), recorder.progress)
+        found = select_model(
+            fits, ReflectanceSettings(), 48, recorder, None, CHOICES, takes=takes, camera_positions=positions
+        )
+        return found.spec.exposures
+
+    assert selected_with(POSITIONS) == expected
+    assert selected_with(None) == "fitted", "without positions nothing tells them from exposures that differ"
+
+
 def test_exposures_that_the_settings_name_are_not_compared() -> None:
     selection, solver = selected(dict.fromkeys(DIFFERENT, 20.0), ("fitted",))
     assert selection.spec.exposures == selection.exposures.exposures == "fitted"
