@@ -76,7 +76,7 @@ class FoldedFits(Generic[FitT, RefinementT]):
         camera_positions: Float[NDArray[np.floating], "views 3"] | None = None,
         takes: Sequence[int] = (),
     ) -> None:
-        """`camera_positions`: around the object at the origin. `takes`: the number of each view's take; empty for one."""
+        """`camera_positions`: around the object at the origin. `takes`: that of each view, none for one."""
         self._fits = fits
         self._folds = list(folds)
         self._camera_positions, self._takes = camera_positions, takes
