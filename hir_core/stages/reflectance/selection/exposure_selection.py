@@ -30,8 +30,8 @@ LEAST_DEVIATION_STOPS = 0.05
 """Standard deviation of fitted exposures over photographs, in the channel where it is largest, below which exposures
 count as equal: fitted ones are 0.03 stops off the true ones (docs/studies/exposures.md#equal-photographs)."""
 MIN_GAIN_OF_SMOOTH_EXPOSURES_DB = 0.3
-"""On held-out views, of fitted exposures that change smoothly from camera to camera. On equal photographs they gain up to
-0.19 dB, and on photographs whose exposures change so by up to half a stop 0.24 to 2.8 dB
+"""On held-out views, of fitted exposures that change smoothly from camera to camera. Equal photographs gain up to
+0.19 dB by them, and photographs whose exposures change so by up to half a stop 0.24 to 2.8 dB
 (docs/studies/exposures.md#exposures-that-change-smoothly)."""
 BUDGET = ROUNDS[0]
 """What each fit gets; those with equal exposures are the first fits of the rounds."""
