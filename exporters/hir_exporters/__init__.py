@@ -20,6 +20,15 @@ if TYPE_CHECKING:
     from hir_exporters.asset_lamp import AssetLamp
     from hir_exporters.errors import ExportError, HirError, InputError
     from hir_exporters.exporter import Exporter, ExportReport
+    from hir_exporters.format_options import (
+        CubemapConfig,
+        EnvironmentConfig,
+        GltfConfig,
+        HarmonicsConfig,
+        ObjConfig,
+        UsdConfig,
+        UsdzConfig,
+    )
     from hir_exporters.formats import FORMATS, create_exporter
     from hir_exporters.reading.file_verification import verify_file
     from hir_exporters.scene_format import load_scene, save_scene
@@ -31,11 +40,18 @@ __all__ = [
     "AssetLamp",
     "AssetMaterial",
     "AssetMesh",
+    "CubemapConfig",
+    "EnvironmentConfig",
     "ExportError",
     "ExportReport",
     "Exporter",
+    "GltfConfig",
+    "HarmonicsConfig",
     "HirError",
     "InputError",
+    "ObjConfig",
+    "UsdConfig",
+    "UsdzConfig",
     "create_exporter",
     "describe",
     "load_scene",
@@ -49,6 +65,15 @@ _PUBLIC_NAMES: Final = {
     "errors": ("ExportError", "HirError", "InputError"),
     "exporter": ("Exporter", "ExportReport"),
     "asset_lamp": ("AssetLamp",),
+    "format_options": (
+        "CubemapConfig",
+        "EnvironmentConfig",
+        "GltfConfig",
+        "HarmonicsConfig",
+        "ObjConfig",
+        "UsdConfig",
+        "UsdzConfig",
+    ),
     "formats": ("FORMATS", "create_exporter"),
     "scene_format": ("load_scene", "save_scene"),
     "reading.file_verification": ("verify_file",),

@@ -163,6 +163,8 @@ class Asset:
 
 def validate_asset(asset: Asset) -> None:
     """Raises `InputError` for the first invalid field; the message names the field and what it must be."""
+    if not isinstance(asset.environment, AssetEnvironment | None):
+        raise InputError(f"environment is of the type {type(asset.environment).__name__}; give an AssetEnvironment")
     _validate_mesh(asset.mesh)
     _validate_material(asset.material)
     if asset.environment is not None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from hir_exporters.asset import Asset
+from hir_exporters.errors import ExportError
 
 Edit: TypeAlias = Callable[[Any, Asset], None]
 """Changes a finished document (a `pygltflib.GLTF2` or a `pxr.Usd.Stage`) in place before it is serialised.
@@ -39,6 +40,14 @@ def companion_file(destination: Path, name: str) -> Path:
 def shared_names(stem: str) -> tuple[str, str]:
     """Names that all formats of one asset give to its light and its picture."""
     return f"{stem}.hdr", f"{stem}_thumbnail.png"
+
+
+def check_file_name(destination: Path, suffix: str) -> Path:
+    """The destination as a path. Raises `ExportError` where its name does not end with the suffix of the format."""
+    destination = Path(destination)
+    if not destination.name.lower().endswith(suffix):
+        raise ExportError(f"{destination} is not a file name of this format; it must end with {suffix}")
+    return destination
 
 
 class Exporter(ABC):

@@ -73,7 +73,7 @@ def create_exporter(name: str, config: object = None) -> Exporter:
     options = FORMATS[name].config
     if config is not None and not isinstance(config, options):
         found = config.__name__ if isinstance(config, type) else type(config).__name__
-        raise ExportError(f"format {name!r} takes an instance of {options.__name__}; this is {found}")
+        raise ExportError(f"format {name!r} takes an instance of hir_exporters.{options.__name__}; this is {found}")
     from hir_exporters.exporter import Exporter  # imports numpy, which listing the formats does not need
 
     module, _, attribute = FORMATS[name].target.partition(":")

@@ -130,7 +130,7 @@ def export_command(
             for file in report.files:
                 click.echo(f"{file}  {file.stat().st_size / 1e6:.2f} MB")
 
-    reports = export_asset(asset, chosen, output, plugins, options, print_files)
+    reports = export_asset(asset, chosen, output, plugins, options, print_files, _inputs(source, maps, light))
     if verify:
         from hir_exporters.engines.engine_shaders import EngineComparison
 
@@ -148,6 +148,17 @@ def export_command(
                 click.echo(f"hir: {name}: {warning}", err=True)
             if not quiet:
                 click.echo(f"{name}: {verification.sentence()}")
+
+
+def _inputs(source: Path, maps: Mapping[str, str | None], light: Path | None) -> list[Path]:
+    """The files of a MESH and of the options that replace parts of it."""
+    from hir_exporters.reading.base_color_texture import named_files
+
+    if not source.is_file():
+        return []
+    named = [] if source.suffix.lower().startswith(".usd") else named_files(source)
+    given = [Path(text) for text in maps.values() if text is not None]
+    return [source, *named, *given, *([] if light is None else [light])]
 
 
 def _options(
@@ -168,12 +179,19 @@ def _options(
                 f"--set {name}={table}: name the format and its option, such as --set glb.max_texture_size=1024"
             )
         plugins.find("exporter", name)
+        if name not in formats:
+            raise ConfigError(
+                f"--set {name}.{next(iter(table), '')}: {name} is not written; add -f {name}, or remove it"
+            )
     for key, value in shortcuts.items():
         if value is None:
             continue
         supporting = [n for n in formats if _allows(plugins, n, key, value)]
+        flag = {"lods": "--lod"}.get(key, f"--{key}")
+        for name in supporting:
+            if options.get(name, {}).get(key, value) != value:
+                raise ConfigError(f"{flag} and --set {name}.{key} differ; remove one of them")
         if not supporting:
-            flag = {"lods": "--lod"}.get(key, f"--{key}")
             raise ConfigError(f"{flag}: no format of {', '.join(formats)} has this option; remove it, or add -f glb")
         for name in supporting:
             options.setdefault(name, {}).setdefault(key, value)
@@ -191,7 +209,7 @@ def _allows(plugins: PluginManager, name: str, key: str, value: Any) -> bool:
 
 def parse_lods(text: str) -> list[int]:
     """Triangle counts from `100k,20k,5000`. Raises `ConfigError`."""
-    counts = []
+    counts: list[int] = []
     for part in text.split(","):
         number, scale = (part[:-1], 1000) if part.strip().lower().endswith("k") else (part, 1)
         try:
@@ -200,6 +218,10 @@ def parse_lods(text: str) -> list[int]:
             count = 0
         if count < 1:
             raise ConfigError(f"--lod {text}: {part!r} is not a number of triangles; an example is 100k,20k,5k")
+        if counts and count >= counts[-1]:
+            raise ConfigError(
+                f"--lod {text}: each level needs fewer triangles than the one before, such as 100k,20k,5k"
+            )
         counts.append(count)
     return counts
 

@@ -11,7 +11,7 @@ import numpy as np
 from hir_exporters.asset import Asset, AssetEnvironment, AssetMaterial, validate_asset
 from hir_exporters.conventions import ALPHA_MIN, linear_to_srgb
 from hir_exporters.metallic_parameters import MAX_DIELECTRIC_F0
-from hir_exporters.reading.environment_import import read_environment
+from hir_exporters.reading.environment_import import read_light
 from hir_exporters.scene_format import load_scene, save_scene
 from hir_exporters.textures.image_files import write_png
 from numpy.typing import NDArray
@@ -74,7 +74,7 @@ def apply_edit(asset: Asset, edit: AssetEdit) -> Asset:
         path, strength = parse_light_file(edit.light)
         if not path.is_file():
             raise InputError(f"--light {path}: no such file")
-        radiance = read_environment(path).radiance * np.float32(strength)
+        radiance = read_light(path).radiance * np.float32(strength)
         environment = AssetEnvironment(radiance)
     provenance: Mapping[str, Any] = {**asset.provenance, "edited": edit.summary}
     result = replace(asset, material=changed, environment=environment, provenance=provenance)

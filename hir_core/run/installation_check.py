@@ -43,12 +43,17 @@ MODULES: Final = {
         "lzfse": "lzfse",
     },
 }
-"""Modules of the extras that a reconstruction needs, with the distributions that contain them."""
+"""Modules of the extras that a reconstruction needs, with the distributions that contain them. Where none of an extra
+is there, it was not installed, which is no fault: the export SDK needs neither."""
 
 OPTIONAL_MODULES: Final = {
     "evaluate": {"lpips": "lpips", "flip_evaluator": "flip-evaluator"},
     "batch": {"ray": "ray", "fsspec": "fsspec"},
     "compress": {"DracoPy": "DracoPy", "meshopt": "meshopt"},
+    "collision": {"coacd": "coacd"},
+    "photos": {"pillow_heif": "pillow-heif", "rawpy": "rawpy"},
+    "rembg": {"rembg": "rembg"},
+    "tensorboard": {"tensorboard": "tensorboard"},
 }
 """As `MODULES`, of extras for single features; without them the installation is sound."""
 
@@ -71,11 +76,13 @@ def examine(problems: list[str]) -> list[Finding]:
         Finding("machine", "ok", f"{processor_name()}, {usable_cores()} cores, {total_memory_bytes() / 2**30:.0f} GiB"),
     ]
     for extra, modules in MODULES.items():
-        findings += [examine_module(module, package, extra) for module, package in modules.items()]
+        found = [examine_module(module, package, extra) for module, package in modules.items()]
+        is_absent = all(finding.state == "missing" for finding in found)
+        findings += [replace(finding, state="absent") if is_absent else finding for finding in found]
     for extra, modules in OPTIONAL_MODULES.items():
         for module, package in modules.items():
-            found = examine_module(module, package, extra)
-            findings.append(replace(found, state="absent") if found.state == "missing" else found)
+            finding = examine_module(module, package, extra)
+            findings.append(replace(finding, state="absent") if finding.state == "missing" else finding)
     if find_spec("mitsuba") is not None:
         findings.append(examine_renderer("llvm_ad_rgb", "renderer (cpu)"))
         findings.append(examine_renderer("cuda_ad_rgb", "renderer (cuda)"))

@@ -5,17 +5,20 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import hir_exporters
 import numpy as np
 import pytest
-from hir_exporters.asset import Asset, AssetMaterial
-from hir_exporters.errors import ExportError
+from hir_exporters.asset import Asset, AssetMaterial, validate_asset
+from hir_exporters.errors import ExportError, InputError
 from hir_exporters.format_options import GltfConfig, UsdConfig, UsdzConfig
-from hir_exporters.formats import create_exporter
+from hir_exporters.formats import FORMATS, create_exporter
 from hir_exporters.materials import material_conversion
+from hir_exporters.reading.environment_import import read_light
 from hir_exporters.scene_format import save_scene
+from hir_exporters.textures.image_files import write_exr
 
 PACKAGE = Path(hir_exporters.__file__).parent
 ROOT = Path(__file__).resolve().parents[2]
@@ -151,10 +154,31 @@ def test_options_are_checked_when_they_are_made(options: dict[str, object], mess
 
 
 def test_options_of_another_format_are_refused() -> None:
-    with pytest.raises(ExportError, match="format 'glb' takes an instance of GltfConfig; this is UsdzConfig"):
+    with pytest.raises(ExportError, match=r"'glb' takes an instance of hir_exporters.GltfConfig; this is UsdzConfig"):
         create_exporter("glb", UsdzConfig())
-    with pytest.raises(ExportError, match="format 'hdr' takes an instance of EnvironmentConfig; this is UsdConfig"):
+    with pytest.raises(ExportError, match=r"takes an instance of hir_exporters.EnvironmentConfig; this is UsdConfig"):
         create_exporter("hdr", UsdConfig)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_file_name_of_another_format_is_refused(name: str, tmp_path: Path, textured_asset: Asset) -> None:
+    with pytest.raises(ExportError, match=f"x.stl is not a file name of .*; it must end with .{name[:3]}"):
+        create_exporter(name).write(textured_asset, tmp_path / "x.stl")
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_field_of_another_type_is_named(constant_asset: Asset) -> None:
+    with pytest.raises(InputError, match="environment is of the type ndarray; give an AssetEnvironment"):
+        validate_asset(replace(constant_asset, environment=np.ones((4, 8, 3))))  # type: ignore[arg-type]
+
+
+def test_negative_light_is_said(tmp_path: Path) -> None:
+    radiance = np.ones((4, 8, 3), np.float32)
+    radiance[0] = -0.5
+    write_exr(tmp_path / "light.exr", radiance)
+    with pytest.warns(UserWarning, match="light.exr has negative values, which become 0"):
+        found = read_light(tmp_path / "light.exr")
+    np.testing.assert_array_equal(found.radiance, np.maximum(radiance, 0))
 
 
 def test_importing_costs_what_is_used() -> None:

@@ -15,7 +15,7 @@ from hir_exporters.asset import Asset, validate_asset
 from hir_exporters.engines.engine_light_cache import cached_engine_light
 from hir_exporters.environment_files.ktx1_container import ktx1_bytes
 from hir_exporters.errors import ExportError
-from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.exporter import Edit, Exporter, ExportReport, check_file_name
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.format_options import CubemapConfig, EnvironmentConfig, HarmonicsConfig
 from hir_exporters.light.environment_map import (
@@ -38,7 +38,7 @@ class HdrExporter(Exporter):
         self._config = config
 
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        return _write(asset, destination, self._config, write_hdr)
+        return _write(asset, check_file_name(destination, ".hdr"), self._config, write_hdr)
 
 
 @final
@@ -49,7 +49,7 @@ class ExrExporter(Exporter):
         self._config = config
 
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        return _write(asset, destination, self._config, write_exr)
+        return _write(asset, check_file_name(destination, ".exr"), self._config, write_exr)
 
 
 @final
@@ -60,7 +60,7 @@ class KtxExporter(Exporter):
         self._config = config
 
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        start, size = time.perf_counter(), self._config.size
+        start, size, destination = time.perf_counter(), self._config.size, check_file_name(destination, ".ktx")
         validate_asset(asset)
         if size < LAST_LEVEL_SIZE or size & (size - 1) or size > 4096:
             raise ExportError(f"a cubemap of {size} pixels a side is not a power of two from {LAST_LEVEL_SIZE} to 4096")
@@ -79,7 +79,7 @@ class HarmonicsExporter(Exporter):
         self._config = config
 
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        start = time.perf_counter()
+        start, destination = time.perf_counter(), check_file_name(destination, ".sh.json")
         validate_asset(asset)
         radiance, warnings = _radiance(asset, self._config)
         document = {

@@ -52,6 +52,8 @@ def move_atomic(source: Path, destination: Path) -> None:
 def staging_folder(folder: Path) -> Iterator[Path]:
     """Yields an empty temporary folder inside `folder`, which is created; it is deleted when the block ends."""
     temporary = folder / f"{_TEMPORARY_PREFIX}{secrets.token_hex(8)}"
+    if folder.exists() and not folder.is_dir():
+        raise ExportError(f"cannot create the folder {folder}: a file of that name exists; choose another folder")
     with _named_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         temporary.mkdir()

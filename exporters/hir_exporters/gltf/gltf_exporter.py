@@ -13,7 +13,7 @@ from urllib.parse import quote
 from hir_exporters.asset import Asset, AssetEnvironment, validate_asset
 from hir_exporters.budgets import BUDGETS, apply_budget, budget_images, fit_mesh
 from hir_exporters.engines.engine_light_cache import cached_engine_light
-from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
+from hir_exporters.exporter import Edit, Exporter, ExportReport, check_file_name, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.gltf.binary import glb_bytes
@@ -45,7 +45,7 @@ class GlbExporter(Exporter):
         self._config = config
 
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        return _write(asset, Path(destination), self._config, edit, embed=True)
+        return _write(asset, check_file_name(destination, ".glb"), self._config, edit, embed=True)
 
 
 @final
@@ -56,7 +56,7 @@ class GltfExporter(Exporter):
         self._config = config
 
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        return _write(asset, Path(destination), self._config, edit, embed=False)
+        return _write(asset, check_file_name(destination, ".gltf"), self._config, edit, embed=False)
 
 
 def _write(asset: Asset, destination: Path, config: GltfConfig, edit: Edit | None, embed: bool) -> ExportReport:

@@ -29,6 +29,11 @@ def level_of_detail(
     """
     coarse = simplify(replace(finer.mesh, tangents=None), triangles)
     warnings: tuple[str, ...] = ()
+    if triangles >= len(finer.mesh.faces):
+        warnings += (
+            f"level of detail {level} is as fine as the one before, which has {len(finer.mesh.faces)} triangles; ask "
+            "for fewer",
+        )
     if len(coarse.faces) > max(1.1 * triangles, triangles + 2):
         warnings += (f"level of detail {level} has {len(coarse.faces)} triangles: UV seams allow no fewer",)
     shared, material = config.lod_layout == "msft_lod", asset.material

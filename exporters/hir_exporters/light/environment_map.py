@@ -28,7 +28,9 @@ def world_radiance(asset: Asset, height: int = 0) -> tuple[NDArray[np.float32], 
     environment = asset.environment
     no_warnings: tuple[str, ...] = ()
     if environment is None:
-        raise ExportError(f"asset {asset.name!r} has no environment; there is no light to write")
+        raise ExportError(
+            f"asset {asset.name!r} has no environment, so there is no light to write; give it one (hir export --light)"
+        )
     rotation, warnings = environment.to_world, no_warnings
     if environment.frame == "camera":
         rotation, warnings = _camera_rotation(environment, asset.provenance)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.asset import Asset, AssetMesh, validate_asset
-from hir_exporters.exporter import Edit, Exporter, ExportReport, companion_file
+from hir_exporters.exporter import Edit, Exporter, ExportReport, check_file_name, companion_file
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.format_options import ObjConfig
 from hir_exporters.materials.material_conversion import to_gltf
@@ -34,7 +34,7 @@ class ObjExporter(Exporter):
         self._config = config
 
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
-        start, destination = time.perf_counter(), Path(destination)
+        start, destination = time.perf_counter(), check_file_name(destination, ".obj")
         validate_asset(asset)
         material = limit_texture_sizes(asset.material, self._config.max_texture_size)
         surface = to_gltf(material, "metalrough")

@@ -54,7 +54,8 @@ def parse_material_override(name: str, text: str) -> Path | float | tuple[float,
     file = Path(text)
     if not file.is_file():
         constant = f" or {_VALUE_SYNTAX[name]}" if name in _VALUE_SYNTAX else ""
-        raise InputError(f"{text} for {name.replace('_', ' ')} does not exist; give an image file{constant}")
+        problem = "is no file" if file.exists() else "does not exist"
+        raise InputError(f"{text} for {name.replace('_', ' ')} {problem}; give an image file{constant}")
     return file
 
 

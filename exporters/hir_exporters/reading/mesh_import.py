@@ -20,7 +20,7 @@ from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.materials.material_conversion import collapse_uniform_textures
 from hir_exporters.materials.surfaces import MetallicSurface
 from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
-from hir_exporters.reading.environment_import import read_environment
+from hir_exporters.reading.environment_import import read_light
 from hir_exporters.reading.gltf_readback import gltf_scene, read_gltf_surface
 from hir_exporters.reading.material_overrides import MaterialOverrides, load_color, load_normal_map, load_scalar
 from hir_exporters.reading.mesh_references import check_references, load_mesh_scene
@@ -51,9 +51,7 @@ def load_mesh_asset(path: Path, maps: MaterialOverrides | None = None, light: Pa
         mesh = _trimesh_mesh(path)
         material = _checked_material(path, suffix, maps)
     material = collapse_uniform_textures(material)
-    asset = Asset(
-        mesh, material, None if light is None else read_environment(light), {"made_from": path.name}, path.stem
-    )
+    asset = Asset(mesh, material, None if light is None else read_light(light), {"made_from": path.name}, path.stem)
     try:
         validate_asset(asset)
     except InputError as error:

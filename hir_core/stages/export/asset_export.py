@@ -33,13 +33,15 @@ def export_asset(
     plugins: PluginManager,
     options: Mapping[str, Mapping[str, Any]] | None = None,
     on_file: Callable[[str, ExportReport], None] | None = None,
+    inputs: Sequence[Path] = (),
 ) -> dict[str, ExportReport]:
     """Writes `folder/<name of the asset>.<format>` for each format.
 
     All formats and options are checked before the first file is written. `options` are those of each format; `on_file`
     is called after each format. `ConfigError` where no format is named. `ExportError` where two formats write different
     content to one file name; the files of the first one stay. The same where the light or the picture that all formats
-    share would be replaced by another one, beside a file of an earlier call that this call does not write.
+    share would be replaced by another one, beside a file of an earlier call that this call does not write, and where
+    a file would replace one of `inputs`, from which the asset was made.
     """
     exporters: dict[str, tuple[Registered, Exporter]] = {}
     for name in formats:
@@ -57,6 +59,7 @@ def export_asset(
             destination = staging / name / f"{file_stem(asset.name)}.{name}"
             try:
                 report = exporter.write(asset, destination, _edit(registered, plugins))
+                _keep_inputs(destination.parent, folder, inputs)
                 reports[name] = _publish(report, name, destination.parent, folder, writers, earlier)
             except HirError as error:
                 if str(destination.parent) not in str(error):
@@ -97,6 +100,17 @@ def _publish(
         writers[target] = name
     moved = dict(zip(sources, targets, strict=True))
     return replace(report, files=tuple(moved.get(Path(file), Path(file)) for file in report.files))
+
+
+def _keep_inputs(staged: Path, folder: Path, inputs: Sequence[Path]) -> None:
+    """Raises `ExportError` where a file of `staged` would replace one of `inputs` in `folder`."""
+    kept = {file.resolve() for file in inputs}
+    for file in sorted(staged.rglob("*")):
+        target = folder / file.relative_to(staged)
+        if file.is_file() and target.resolve() in kept:
+            raise ExportError(
+                f"{target} is a source of this export and would be replaced; choose another folder with -o"
+            )
 
 
 def _differs(existing: Path, new: Path) -> bool:

@@ -154,7 +154,7 @@ def rerender_of_run(
     `placement` is the matrix (4, 4) by which the asset was scaled and moved after it was read from the run.
     """
     if not (run / "run.json").is_file():
-        return None, "a scene folder has no cameras; only a run has"
+        return None, "only a run has cameras and a fitted scene to compare with"
     if asset.environment is None:
         return None, "the asset has no light"
     renderers = plugins.components("reflectance_renderer")

@@ -24,12 +24,22 @@ def test_a_sound_machine(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
 def test_a_missing_package_is_reported_with_the_command_that_installs_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(installation_check, "find_spec", lambda _: None)
+    monkeypatch.setattr(installation_check, "_try", lambda _: (0, ""))
+    monkeypatch.setattr(installation_check, "find_spec", lambda name: True if name == "scipy" else None)
     assert hir("doctor") == 1
     output = capsys.readouterr().out
     lines = {line.split()[1]: line.split()[0] for line in output.splitlines() if len(line.split()) > 1}
     assert lines["lpips"] == lines["ray"] == "absent", "optional extras are no fault"
     assert lines["torch"] == "missing" and "pip install 'hir[reconstruct]'" in output and "renderer (cpu)" not in output
+
+
+def test_an_installation_for_exports_alone_is_sound(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(installation_check, "find_spec", lambda _: None)
+    assert hir("doctor") == 0
+    output = capsys.readouterr().out
+    assert "missing" not in output and "pip install 'hir[reconstruct]'" in output
 
 
 def test_a_library_that_cannot_be_opened_is_reported_with_its_package(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from hir_exporters.errors import ExportError
 from hir_exporters.formats import create_exporter
 from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.scene_format import save_scene
-from hir_exporters.textures.image_files import write_png
+from hir_exporters.textures.image_files import write_hdr, write_png
 
 from hir_core.cli.export_command import parse_lods
 from hir_core.run.run_directory import RunDirectory
@@ -103,6 +103,20 @@ def test_the_profile_engine_reaches_all_formats_that_have_it(
         (["{tmp}/plate.obj", "-f", "glb", "--roughness", "gone.png"], "gone.png for roughness does not exist"),
         (["{tmp}/plate.obj", "-f", "glb", "--roughness", "7"], "roughness is 7.0; it must be from 0 to 1"),
         (["{tmp}/plate.obj", "-f", "glb", "--light", "{tmp}/plate.obj"], "is a lat-long"),
+        (
+            ["{tmp}/plate.obj", "-f", "glb", "--light", "{tmp}/square.hdr"],
+            "has 8 x 8 pixels; a lat-long image is twice",
+        ),
+        (["{tmp}/plate.obj", "-f", "glb", "--base-color", "{tmp}/scene"], "scene for base color is no file"),
+        (["{tmp}/plate.obj", "-f", "hdr"], "there is no light to write; give it one (hir export --light)"),
+        (["{tmp}/plate.obj", "-f", "obj", "-o", "{tmp}"], "plate.obj is a source of this export and would be replaced"),
+        (["{tmp}/scene", "-f", "glb", "-o", "{tmp}/plate.obj"], "plate.obj: a file of that name exists"),
+        (["{tmp}/scene", "-f", "glb", "--lod", "50,100"], "each level needs fewer triangles than the one before"),
+        (["{tmp}/scene", "-f", "glb", "--set", "usdz.workflow=auto"], "usdz is not written; add -f usdz, or remove it"),
+        (
+            ["{tmp}/scene", "-f", "glb", "--profile", "blender", "--set", "glb.profile=khr"],
+            "--profile and --set glb.profile differ; remove one of them",
+        ),
         (["{tmp}/scene", "-f", "glb", "--set", "glb.image_format=ktx2"], "run `npm install ktx2-encoder@0.6`"),
         (["{tmp}/scene", "-f", "glb", "--set", "glb.max_texture_size=0"], "max_texture_size is 0; it must be from 1"),
         (["{tmp}/scene", "-f", "glb", "--height", "0"], "height is 0; it must be a positive number"),
@@ -120,6 +134,7 @@ def test_what_is_refused(
 ) -> None:
     monkeypatch.setenv("HIR_NODE_MODULES", str(tmp_path))
     (tmp_path / "plate.obj").write_text(PLATE)
+    write_hdr(tmp_path / "square.hdr", np.ones((8, 8, 3), np.float32))
     save_scene(plate(), tmp_path / "scene")
     arguments = [word.replace("{tmp}", str(tmp_path)) for word in arguments]
     before = sorted(tmp_path.rglob("*"))

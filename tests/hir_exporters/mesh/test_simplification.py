@@ -168,6 +168,14 @@ def test_overlapping_textures_keep_their_own_normals_and_say_so(make_sphere: Sph
     assert read_gltf(tmp_path / "x_lod1.glb").normal is None
 
 
+def test_a_level_that_is_no_coarser_is_said(make_sphere: Sphere, tmp_path: Path) -> None:
+    mesh = make_sphere(5, 8)
+    asset = Asset(mesh, AssetMaterial("dielectric", [0.5] * 3, [0.04] * 3, 0.3))
+    report = create_exporter("glb", GltfConfig(lods=(10_000,))).write(asset, tmp_path / "x.glb")
+    said = f"level of detail 1 is as fine as the one before, which has {len(mesh.faces)} triangles; ask for fewer"
+    assert said in report.warnings
+
+
 def test_every_texel_belongs_to_one_triangle(make_sphere: Sphere) -> None:
     mesh = make_sphere(7, 13)
     cover = rasterize_uvs(mesh.uvs, mesh.faces, 64)

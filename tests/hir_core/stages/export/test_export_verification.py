@@ -235,7 +235,7 @@ def test_a_scene_alone_is_read_back_without_torch(finished: Run, tmp_path: Path)
         "standalone_mode=False)\nassert not {'torch', 'mitsuba'} & set(sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert "read back" in done.stdout and "not re-rendered: a scene folder has no cameras" in done.stdout
+    assert "read back" in done.stdout and "not re-rendered: only a run has cameras" in done.stdout
 
 
 def test_a_light_that_moves_with_the_camera_is_the_runs_own(tmp_path: Path) -> None:
