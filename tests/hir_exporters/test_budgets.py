@@ -18,7 +18,7 @@ from hir_exporters.format_options import GltfConfig, UsdConfig, UsdzConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.reading.file_verification import verify_file
 from hir_exporters.reading.gltf_readback import read_gltf
-from hir_exporters.reading.usd_readback import read_usd
+from hir_exporters.reading.usd_reading.usd_readback import read_usd
 from hir_exporters.reading.validators import validate_gltf
 from hir_exporters.textures.image_encoding import ImageEncoding, encode_within
 

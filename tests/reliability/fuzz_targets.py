@@ -264,7 +264,7 @@ def _usd(name: str) -> Callable[[Path], object]:
 
     def read(folder: Path) -> object:
         from hir_exporters.reading import mesh_import
-        from hir_exporters.reading.usd_readback import read_usd
+        from hir_exporters.reading.usd_reading.usd_readback import read_usd
         from pxr import Usd, UsdGeom, UsdShade  # noqa: F401 # once, not in each fork
 
         with warnings.catch_warnings():
@@ -272,6 +272,7 @@ def _usd(name: str) -> Callable[[Path], object]:
             child = os.fork()
         if child == 0:
             code = 1
+            warnings.simplefilter("ignore", UserWarning)  # of what an import leaves out
             try:
                 with suppress_native_output(), mock.patch.object(mesh_import, "read_untrusted_usd", read_usd):
                     mesh_import.load_mesh_asset(folder / name)

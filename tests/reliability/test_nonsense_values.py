@@ -88,7 +88,7 @@ def test_lenses_that_cannot_be_are_refused(
 
 
 def test_a_pipe_as_a_layer_of_usd_does_not_block(tmp_path: Path) -> None:
-    from hir_exporters.reading.usd_import import read_untrusted_usd
+    from hir_exporters.reading.usd_reading.usd_import import read_untrusted_usd
 
     os.mkfifo(tmp_path / "pipe.usda")
     (tmp_path / "a.usda").write_text("#usda 1.0\n(\n    subLayers = [@./pipe.usda@]\n)\n")

@@ -37,3 +37,17 @@ class SpecularSurface:
     roughness: Array
     residual: float
     warnings: tuple[str, ...] = ()
+
+
+def default_surface() -> MetallicSurface:
+    """The surface of a mesh without a material: grey, half rough, not metal."""
+    one = np.ones((), np.float32)
+    return MetallicSurface(
+        base_color=np.full(3, 0.5, np.float32),
+        metallic=0 * one,
+        roughness=0.5 * one,
+        specular_weight=one,
+        specular_color=np.ones(3, np.float32),
+        ior=1.5,
+        residual=0.0,
+    )

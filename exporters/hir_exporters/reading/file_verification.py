@@ -17,8 +17,8 @@ from hir_exporters.materials.surfaces import SpecularSurface
 from hir_exporters.materials.texture_packing import is_flat
 from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.reading.readback import ReadBack
-from hir_exporters.reading.usd_import import read_untrusted_usd
-from hir_exporters.reading.usd_readback import read_usd
+from hir_exporters.reading.usd_reading.usd_import import read_untrusted_usd
+from hir_exporters.reading.usd_reading.usd_readback import read_usd
 
 READERS: Final[Mapping[str, Callable[[Path], ReadBack]]] = {
     ".glb": read_gltf,

@@ -18,14 +18,14 @@ from hir_exporters.asset import Asset, AssetMaterial, AssetMesh, validate_asset
 from hir_exporters.errors import HirError, InputError
 from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.materials.material_conversion import collapse_uniform_textures
-from hir_exporters.materials.surfaces import MetallicSurface
+from hir_exporters.materials.surfaces import default_surface
 from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
 from hir_exporters.reading.environment_import import read_light
 from hir_exporters.reading.gltf_readback import gltf_scene, read_gltf_surface
 from hir_exporters.reading.material_overrides import MaterialOverrides, load_color, load_normal_map, load_scalar
 from hir_exporters.reading.mesh_references import check_references, load_mesh_scene
 from hir_exporters.reading.mtl_import import read_mtl
-from hir_exporters.reading.usd_import import read_untrusted_usd
+from hir_exporters.reading.usd_reading.usd_import import read_untrusted_usd
 
 Array = NDArray[np.floating]
 
@@ -124,7 +124,7 @@ def _checked_material(path: Path, suffix: str, maps: MaterialOverrides) -> Asset
 
 
 def _material(path: Path, suffix: str, maps: MaterialOverrides) -> AssetMaterial:
-    surface, normal = _default_surface(), None
+    surface, normal = default_surface(), None
     found = read_gltf_surface(path) if suffix in (".glb", ".gltf") else None
     if found is not None and _unset(maps):
         material, _ = decode_surface(*found)
@@ -141,19 +141,6 @@ def _material(path: Path, suffix: str, maps: MaterialOverrides) -> AssetMaterial
     )
     material, _ = decode_surface(surface, None, normal if maps.normal is None else load_normal_map(maps.normal))
     return material
-
-
-def _default_surface() -> MetallicSurface:
-    one = np.ones((), np.float32)
-    return MetallicSurface(
-        base_color=np.full(3, 0.5, np.float32),
-        metallic=0 * one,
-        roughness=0.5 * one,
-        specular_weight=one,
-        specular_color=np.ones(3, np.float32),
-        ior=1.5,
-        residual=0.0,
-    )
 
 
 def _unset(maps: MaterialOverrides) -> bool:

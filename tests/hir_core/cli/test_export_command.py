@@ -16,10 +16,12 @@ from hir_exporters.formats import create_exporter
 from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.scene_format import save_scene
 from hir_exporters.textures.image_files import write_hdr, write_png
+from pxr import Sdf, Usd
 
 from hir_core.cli.export_command import parse_lods
 from hir_core.run.run_directory import RunDirectory
 from tests.fixtures.command_line import hir
+from tests.hir_exporters.reading.usd_samples import surface_of, write_box
 
 ROOT = Path(__file__).resolve().parents[3]
 PLATE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nf 1/1 2/2 3/3\nf 2/2 4/4 3/3\n"
@@ -48,6 +50,15 @@ def test_a_mesh_with_textures(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     back = read_gltf(tmp_path / "out" / "plate.glb")
     np.testing.assert_allclose(back.surface.roughness, 0.3, atol=1e-6)
     np.testing.assert_allclose(back.corner_uvs[0], [[0, 1], [1, 1], [0, 0]])
+
+
+def test_what_an_import_leaves_out_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def edit(stage: Usd.Stage) -> None:
+        surface_of(stage).CreateInput("opacity", Sdf.ValueTypeNames.Float).Set(0.5)
+
+    path = write_box(tmp_path, edit)
+    assert hir("export", path, "-f", "glb", "--no-verify", "-o", tmp_path / "out") == 0
+    assert f"hir: {path}: opacity of its material is left out" in capsys.readouterr().err
 
 
 def test_a_scene_of_an_earlier_call_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

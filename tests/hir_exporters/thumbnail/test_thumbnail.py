@@ -19,7 +19,7 @@ from hir_exporters.engines.surface_psnr import encoded, model_radiance, psnr_db
 from hir_exporters.format_options import GltfConfig, UsdConfig, UsdzConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.light.environment_map import world_radiance
-from hir_exporters.reading.usd_readback import read_usd
+from hir_exporters.reading.usd_reading.usd_readback import read_usd
 from hir_exporters.reading.validators import validate_omniverse, validate_usd
 from hir_exporters.textures.texture_maps import sample_texels
 from hir_exporters.thumbnail import thumbnail

@@ -12,8 +12,8 @@ from hir_exporters.errors import ExportError, InputError
 from hir_exporters.format_options import UsdConfig, UsdzConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.reading.file_verification import verify_file
-from hir_exporters.reading.usd_import import read_untrusted_usd
-from hir_exporters.reading.usd_readback import read_usd
+from hir_exporters.reading.usd_reading.usd_import import read_untrusted_usd
+from hir_exporters.reading.usd_reading.usd_readback import read_usd
 from hir_exporters.reading.validators import validate_omniverse, validate_usd
 from hir_exporters.usd.usdz_package import usdz_bytes
 from pxr import Usd, UsdGeom

@@ -1,0 +1,41 @@
+import numpy as np
+import pytest
+from hir_exporters.errors import InputError
+from hir_exporters.reading.usd_reading.polygon_triangulation import triangulate
+
+ARROW = [(0, 0), (4, 0), (1, 1), (0, 4)]
+L_SHAPE = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)]
+COMB = [(0, 0), (7, 0), (7, 3), (5, 3), (5, 1), (4, 1), (4, 3), (3, 3), (3, 1), (2, 1), (2, 3), (0, 3)]
+WITH_CORNERS_ON_EDGES = [(0, 0), (1, 0), (2, 0), (2, 2), (1, 2), (1, 1), (0, 1)]
+
+
+def _area(corners: np.ndarray) -> float:
+    x, y = corners.T
+    return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2)
+
+
+@pytest.mark.parametrize("polygon", [ARROW, L_SHAPE, COMB, WITH_CORNERS_ON_EDGES])
+@pytest.mark.parametrize("shift", range(4))
+@pytest.mark.parametrize("reverse", [False, True])
+def test_triangles_cover_a_concave_polygon_once(polygon: list[tuple[float, float]], shift: int, reverse: bool) -> None:
+    flat = np.roll(np.asarray(polygon, float), shift, axis=0)[:: -1 if reverse else 1]
+    frame = np.linalg.qr(np.array([[1.0, 2, 3], [0, 1, 4], [5, 6, 0]]))[0][:2]
+    triangles, polygons = triangulate(np.array([len(flat)]), flat @ frame + [7, 8, 9])
+    areas = np.array([_area(flat[triangle]) for triangle in triangles]) * (-1 if reverse else 1)
+    assert len(triangles) == len(flat) - 2 and (polygons == 0).all()
+    assert areas.min() >= -1e-12 and areas.sum() == pytest.approx(abs(_area(flat)), rel=1e-12)
+
+
+def test_polygons_keep_their_order_and_numbers() -> None:
+    square, pentagon = [(0, 0), (1, 0), (1, 1), (0, 1)], [(0, 0), (2, 0), (3, 1), (1, 3), (0, 2)]
+    shapes = [square, square[:3], pentagon, square[:2], square]
+    corners = np.concatenate([np.pad(np.asarray(shape, float), ((0, 0), (0, 1))) for shape in shapes])
+    triangles, polygons = triangulate(np.array([len(shape) for shape in shapes]), corners)
+    assert polygons.tolist() == [0, 0, 1, 2, 2, 2, 4, 4]
+    assert triangles[:3].tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]] and triangles[-1].tolist() == [14, 16, 17]
+
+
+def test_a_polygon_that_crosses_itself_is_refused() -> None:
+    crossed = np.array([(0, 0, 0), (4, 0, 0), (4, 4, 0), (2, -2, 0), (0, 4, 0)], float)
+    with pytest.raises(InputError, match="polygon 0 crosses itself; triangulate the mesh first"):
+        triangulate(np.array([5]), crossed)
