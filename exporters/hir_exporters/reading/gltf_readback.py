@@ -99,7 +99,7 @@ def read_gltf_surface(path: Path, mesh: AssetMesh) -> SurfaceOfFile | None:
         raise InputError(f"{path} cannot be read as glTF ({type(error).__name__}: {error})") from error
 
 
-def read_gltf_uvs(path: Path, uvs: NDArray[np.floating]) -> NDArray[np.float64]:
+def read_gltf_uvs(path: Path, uvs: NDArray[np.float32]) -> NDArray[np.float32]:
     """The coordinates (N, 2), origin top-left, of a .glb or .gltf of any program as its textures are looked up.
 
     Raises `InputError` where a texture is not looked up at `uvs` with one offset and scale for all textures.
@@ -107,7 +107,7 @@ def read_gltf_uvs(path: Path, uvs: NDArray[np.floating]) -> NDArray[np.float64]:
     try:
         textures = GltfTextures.of_file(path)
         material = used_material(textures.document, path)
-        return placed_uvs(uvs, material or {}, textures)
+        return placed_uvs(uvs, material or {}, textures).astype(np.float32)
     except HirError:
         raise
     except Exception as error:  # a document may have any structure

@@ -20,6 +20,7 @@ from hir_exporters.textures.image_files import write_png
 from hir_core.cli.export_command import parse_lods
 from hir_core.run.run_directory import RunDirectory
 from tests.fixtures.command_line import hir
+from tests.fixtures.gltf_quads import write_quad
 
 ROOT = Path(__file__).resolve().parents[3]
 PLATE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nf 1/1 2/2 3/3\nf 2/2 4/4 3/3\n"
@@ -48,6 +49,13 @@ def test_a_mesh_with_textures(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     back = read_gltf(tmp_path / "out" / "plate.glb")
     np.testing.assert_allclose(back.surface.roughness, 0.3, atol=1e-6)
     np.testing.assert_allclose(back.corner_uvs[0], [[0, 1], [1, 1], [0, 0]])
+
+
+def test_what_a_gltf_has_and_an_asset_has_not_is_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_quad(tmp_path / "quad.glb", {"emissiveFactor": [1, 1, 1], "doubleSided": True})
+    assert hir("export", path, "-f", "glb", "-o", tmp_path / "out") == 0
+    named = [line for line in capsys.readouterr().err.splitlines() if "is read without" in line]
+    assert len(named) == 1 and named[0].startswith(f"hir: {path} is read without emission and the back of its open")
 
 
 def test_a_scene_of_an_earlier_call_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.materials.surfaces import MetallicSurface, SpecularSurface
-from hir_exporters.reading.gltf_json.gltf_textures import GltfTextures, Json
+from hir_exporters.reading.gltf_json.gltf_textures import GltfTextures
+from hir_exporters.reading.gltf_json.stored_accessors import Json
 from hir_exporters.reading.readback import index_of_refraction
 from hir_exporters.reading.texture_decoding import Pixels, times, times_color, unit_vectors
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from hir_exporters.errors import InputError
+from hir_exporters.reading.gltf_json.stored_accessors import Json
 from hir_exporters.reading.mesh_references import gltf_content, image_bytes
 from hir_exporters.reading.texture_decoding import Pixels, as_rgb, decoded_pixels
-
-Json = Mapping[str, Any]
-"""An object of a glTF document."""
 
 _IMAGE_EXTENSIONS: Final = ("EXT_texture_webp", "KHR_texture_basisu")
 """Extensions of a texture that name an image beside the fallback."""

@@ -11,8 +11,8 @@ import numpy as np
 from hir_exporters.asset import AssetMesh
 from hir_exporters.mesh.open_surface import is_open
 from hir_exporters.reading.gltf_json.gltf_surface import SPECULAR_GLOSSINESS, UNLIT, texture_references
-from hir_exporters.reading.gltf_json.gltf_textures import GltfTextures, Json, image_source
-from hir_exporters.reading.gltf_json.stored_accessors import buffers_of, stored_values
+from hir_exporters.reading.gltf_json.gltf_textures import GltfTextures, image_source
+from hir_exporters.reading.gltf_json.stored_accessors import Json, buffers_of, stored_values
 from hir_exporters.reading.gltf_json.used_material import placed_primitives
 from hir_exporters.reading.texture_decoding import unit_values
 

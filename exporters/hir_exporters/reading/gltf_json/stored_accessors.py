@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,19 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.errors import HirError, InputError
-from hir_exporters.reading.mesh_references import check_references, gltf_content, uri_bytes
+from hir_exporters.reading.mesh_references import gltf_content, uri_bytes
 
 _COMPONENTS: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _CHECKED: Final = ("POSITION", "NORMAL", "TEXCOORD_0")
 
+Json = Mapping[str, Any]
+"""An object of a glTF document."""
+
 Buffer = Callable[[int], bytes]
 """The content of a buffer by its index."""
 
 
-def buffers_of(path: Path, document: Mapping[str, Any], binary: bytes) -> Buffer:
+def buffers_of(path: Path, document: Json, binary: bytes) -> Buffer:
     """Reads the buffers of a document; a missing file raises `InputError`."""
 
+    @cache
     def content(index: int) -> bytes:
         uri = document["buffers"][index].get("uri")
         found = binary if uri is None else uri_bytes(path, uri)
@@ -33,7 +38,7 @@ def buffers_of(path: Path, document: Mapping[str, Any], binary: bytes) -> Buffer
     return content
 
 
-def stored_values(document: Mapping[str, Any], index: int, buffer: Buffer) -> NDArray[Any] | None:
+def stored_values(document: Json, index: int, buffer: Buffer) -> NDArray[Any] | None:
     """Values (N, C) of an accessor as they are stored (glTF 2.0, section 3.6.2).
 
     None where they are not simply there: compressed, sparse, or all 0 by definition.
@@ -57,13 +62,12 @@ def check_geometry(path: Path) -> None:
 
     Compressed and sparse values are left to the reader that decodes them.
     """
-    check_references(path)
     try:
         document, binary = gltf_content(path)
         buffer = buffers_of(path, document, binary)
-        for mesh in document.get("meshes", []):
-            for primitive in mesh["primitives"]:
-                _check_primitive(path, document, primitive, buffer)
+        primitives = [primitive for mesh in document.get("meshes", []) for primitive in mesh["primitives"]]
+        _check_finite(path, document, primitives, buffer)
+        _check_indices(path, document, primitives, buffer)
     except HirError:
         raise
     except Exception as error:  # any structure may be missing or of another type
@@ -71,15 +75,21 @@ def check_geometry(path: Path) -> None:
         raise InputError(f"{path} cannot be read as glTF ({reason}); export it again") from error
 
 
-def _check_primitive(path: Path, document: Mapping[str, Any], primitive: Mapping[str, Any], buffer: Buffer) -> None:
-    attributes = primitive["attributes"]
-    for name in _CHECKED:
-        values = None if name not in attributes else stored_values(document, attributes[name], buffer)
+def _check_finite(path: Path, document: Json, primitives: list[Json], buffer: Buffer) -> None:
+    used = {(p["attributes"][name], name) for p in primitives for name in _CHECKED if name in p["attributes"]}
+    for accessor, name in sorted(used):
+        values = stored_values(document, accessor, buffer)
         if values is not None and values.dtype.kind == "f" and not np.isfinite(values).all():
             raise InputError(f"{path}: {name} of a mesh has NaN or infinite numbers; export it again")
-    if primitive.get("indices") is None or "POSITION" not in attributes:
-        return
-    indices = stored_values(document, primitive["indices"], buffer)
-    count = document["accessors"][attributes["POSITION"]]["count"]
-    if indices is not None and indices.size and int(indices.max()) >= count:
-        raise InputError(f"{path}: a mesh has the index {int(indices.max())}, but {count} vertices; export it again")
+
+
+def _check_indices(path: Path, document: Json, primitives: list[Json], buffer: Buffer) -> None:
+    used = {(p["indices"], p["attributes"]["POSITION"]) for p in primitives if p.get("indices") is not None}
+    largest: dict[int, int] = {}
+    for accessor, positions in sorted(used):
+        if accessor not in largest:
+            values = stored_values(document, accessor, buffer)
+            largest[accessor] = -1 if values is None or not values.size else int(values.max())
+        count = document["accessors"][positions]["count"]
+        if largest[accessor] >= count:
+            raise InputError(f"{path}: a mesh has the index {largest[accessor]}, but {count} vertices; export it again")

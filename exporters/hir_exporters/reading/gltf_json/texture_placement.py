@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from hir_exporters.errors import InputError
 from hir_exporters.reading.gltf_json.gltf_surface import texture_references
-from hir_exporters.reading.gltf_json.gltf_textures import GltfTextures, Json
+from hir_exporters.reading.gltf_json.gltf_textures import GltfTextures
+from hir_exporters.reading.gltf_json.stored_accessors import Json
 
 TRANSFORM: Final = "KHR_texture_transform"
 

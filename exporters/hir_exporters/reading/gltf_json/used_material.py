@@ -8,7 +8,7 @@ from typing import Final
 
 from hir_exporters.collision_names import is_collision_name
 from hir_exporters.errors import InputError
-from hir_exporters.reading.gltf_json.gltf_textures import Json
+from hir_exporters.reading.gltf_json.stored_accessors import Json
 
 _TRIANGLE_MODES: Final = (4, 5, 6)
 """Triangles, strips and fans."""
