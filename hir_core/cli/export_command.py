@@ -98,7 +98,7 @@ def export_command(
     """Writes the asset of a RUN, a SCENE folder or a MESH file in other formats.
 
     A MESH is an .obj, .ply, .glb, .gltf or USD file with texture coordinates. The material is that of the file, or
-    that of the options.
+    that of the options. Features of a glTF material that an asset cannot represent are named.
     """
     from hir_exporters.exporter import ExportReport
     from hir_exporters.mesh.placement import placed_asset, placement

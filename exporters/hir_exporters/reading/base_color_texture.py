@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 
 from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 from hir_exporters.errors import HirError, InputError
+from hir_exporters.reading.gltf_json.gltf_surface import SPECULAR_GLOSSINESS
+from hir_exporters.reading.gltf_json.gltf_textures import image_source
+from hir_exporters.reading.gltf_json.texture_placement import placement_problem
 from hir_exporters.reading.mesh_references import check_references, contained_file, gltf_content, image_bytes, uris
 from hir_exporters.textures.image_files import quantize, read_rgb8
 
@@ -26,8 +29,6 @@ _USEMTL: Final = re.compile(rb"^[ \t]*usemtl[ \t]+(.*?)[ \t\r]*$", re.MULTILINE)
 _FACE: Final = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
 _TEXTURE_FILE: Final = re.compile(rb"^comment[ \t]+texturefile[ \t]+(.*?)[ \t\r]*$", re.MULTILINE | re.IGNORECASE)
 _PLY_HEADER_BYTES: Final = 1 << 16
-_SPECULAR_GLOSSINESS: Final = "KHR_materials_pbrSpecularGlossiness"
-_IMAGE_EXTENSIONS: Final = ("EXT_texture_webp", "KHR_texture_basisu")
 _WHITE: Final = (1.0, 1.0, 1.0)
 
 
@@ -148,25 +149,20 @@ def _gltf_base_colors(document: Mapping[str, Any]) -> Iterator[_BaseColor]:
 
 
 def _gltf_base_color(document: Mapping[str, Any], material: Mapping[str, Any], name: str) -> _BaseColor:
-    old = material.get("extensions", {}).get(_SPECULAR_GLOSSINESS)
+    old = material.get("extensions", {}).get(SPECULAR_GLOSSINESS)
     core = material.get("pbrMetallicRoughness", {})
     reference = core.get("baseColorTexture") if old is None else old.get("diffuseTexture")
     color = core.get("baseColorFactor") if old is None else old.get("diffuseFactor")
     factor = tuple(float(value) for value in (color or _WHITE)[:3])
     if reference is None:
         return _BaseColor(name, None, factor)
-    texture = document["textures"][reference["index"]]
-    better = [texture.get("extensions", {}).get(extension, {}).get("source") for extension in _IMAGE_EXTENSIONS]
-    source = next((source for source in better if source is not None), texture.get("source"))
+    source = image_source(document["textures"][reference["index"]])
+    if source is None:
+        return _BaseColor(name, None, factor)
     image = document["images"][source]
     uri = str(image.get("uri", "data:"))
     shown = f"image {source}" if uri.startswith("data:") else uri
-    problem = ""
-    if reference.get("texCoord", 0) != 0:
-        problem = "lies on the second texture coordinates"
-    elif "KHR_texture_transform" in reference.get("extensions", {}):
-        problem = "has a transform (KHR_texture_transform)"
-    return _BaseColor(shown, int(source), factor, problem)
+    return _BaseColor(shown, int(source), factor, placement_problem(reference))
 
 
 def _pixels(path: Path, color: _BaseColor) -> NDArray[np.uint8]:

@@ -21,7 +21,7 @@ from hir_exporters.materials.material_conversion import collapse_uniform_texture
 from hir_exporters.materials.surfaces import default_surface
 from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
 from hir_exporters.reading.environment_import import read_light
-from hir_exporters.reading.gltf_readback import gltf_scene, read_gltf_surface
+from hir_exporters.reading.gltf_readback import gltf_scene, read_gltf_surface, read_gltf_uvs
 from hir_exporters.reading.material_overrides import MaterialOverrides, load_color, load_normal_map, load_scalar
 from hir_exporters.reading.mesh_references import check_references, load_mesh_scene
 from hir_exporters.reading.mtl_import import read_mtl
@@ -49,7 +49,9 @@ def load_mesh_asset(path: Path, maps: MaterialOverrides | None = None, light: Pa
             raise InputError(f"{path} has its own material; textures can be given only for .obj, .ply, .glb and .gltf")
     else:
         mesh = _trimesh_mesh(path)
-        material = _checked_material(path, suffix, maps)
+        if suffix in (".glb", ".gltf"):
+            mesh = replace(mesh, uvs=read_gltf_uvs(path, mesh.uvs))
+        material = _checked_material(path, suffix, maps, mesh)
     material = collapse_uniform_textures(material)
     asset = Asset(mesh, material, None if light is None else read_light(light), {"made_from": path.name}, path.stem)
     try:
@@ -113,9 +115,9 @@ def _unit_normals(part: Any) -> Array:
     return np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
 
 
-def _checked_material(path: Path, suffix: str, maps: MaterialOverrides) -> AssetMaterial:
+def _checked_material(path: Path, suffix: str, maps: MaterialOverrides, mesh: AssetMesh) -> AssetMaterial:
     try:
-        return _material(path, suffix, maps)
+        return _material(path, suffix, maps, mesh)
     except HirError:
         raise
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # numbers of another type or shape
@@ -123,9 +125,9 @@ def _checked_material(path: Path, suffix: str, maps: MaterialOverrides) -> Asset
         raise InputError(f"{path}: its material cannot be read ({reason}); export it again") from error
 
 
-def _material(path: Path, suffix: str, maps: MaterialOverrides) -> AssetMaterial:
+def _material(path: Path, suffix: str, maps: MaterialOverrides, mesh: AssetMesh) -> AssetMaterial:
     surface, normal = default_surface(), None
-    found = read_gltf_surface(path) if suffix in (".glb", ".gltf") else None
+    found = read_gltf_surface(path, mesh) if suffix in (".glb", ".gltf") else None
     if found is not None and _unset(maps):
         material, _ = decode_surface(*found)
         return material if maps.normal is None else replace(material, normal=load_normal_map(maps.normal))

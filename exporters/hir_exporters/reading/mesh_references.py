@@ -20,6 +20,7 @@ from hir_exporters.errors import HirError, InputError
 from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.files.untrusted_json import parse_json
 from hir_exporters.reading.gltf_geometry.geometry_alone import geometry_alone, split_document
+from hir_exporters.reading.gltf_geometry.required_extensions import check_required_extensions
 from hir_exporters.textures.ktx2 import IDENTIFIER, check_ktx2
 from hir_exporters.textures.pillow_images import open_image
 
@@ -132,6 +133,7 @@ def _check_gltf(path: Path) -> None:
         for uri in uris(document):
             if not uri.startswith("data:"):
                 contained_file(path, uri, percent_encoded=True)
+        check_required_extensions(document, path)
         _check_size(path, document)
         for number, image in enumerate(document.get("images", [])):
             data = image_bytes(path, document, image, binary)
@@ -194,15 +196,16 @@ def _check_size(path: Path, document: dict[str, Any]) -> None:
 def image_bytes(path: Path, document: dict[str, Any], image: dict[str, Any], binary: bytes) -> bytes | None:
     """The content of an image; None where its file is missing."""
     if image.get("uri") is not None:
-        return _uri_bytes(path, image["uri"])
+        return uri_bytes(path, image["uri"])
     view = document["bufferViews"][image["bufferView"]]
     uri = document["buffers"][view["buffer"]].get("uri")
-    content = binary if uri is None else _uri_bytes(path, uri)
+    content = binary if uri is None else uri_bytes(path, uri)
     start = view.get("byteOffset", 0)
     return None if content is None else content[start : start + view["byteLength"]]
 
 
-def _uri_bytes(path: Path, uri: str) -> bytes | None:
+def uri_bytes(path: Path, uri: str) -> bytes | None:
+    """What a URI of a glTF contains, a data URI or a file in its folder; None where that file is missing."""
     if uri.startswith("data:"):
         try:
             return base64.b64decode(uri.partition(",")[2])

@@ -6,6 +6,7 @@ Pillow decodes them, Basis Universal KTX2.
 from __future__ import annotations
 
 import hashlib
+import warnings
 from functools import lru_cache
 from typing import Any, Final
 
@@ -13,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hir_exporters.conventions import srgb_to_linear
+from hir_exporters.errors import HirError, InputError
 from hir_exporters.textures.ktx2 import IDENTIFIER, decode_ktx2
 from hir_exporters.textures.pillow_images import open_image
+from hir_exporters.textures.pillow_pixels import image_codes
 
 Pixels = NDArray[Any]
 """(H, W, C) codes of 8 bits, or float32 in [0, 1]."""
@@ -23,19 +26,29 @@ _UNIT: Final = np.arange(256, dtype=np.float32) / np.float32(255)
 """Value of each 8-bit code."""
 
 
-def decoded_pixels(data: bytes) -> Pixels:
+def decoded_pixels(data: bytes, name: str = "an image") -> Pixels:
     """Pixels (H, W, C), read-only: 8-bit codes unchanged, 16-bit codes as floats in [0, 1].
 
-    The last few images are kept: files of several formats mostly contain the same ones.
+    C is 1 grey, 2 grey+alpha, 3 or 4; palettes are resolved. The last few images are cached: files of several formats
+    mostly contain the same ones. Raises `InputError` with `name` for a broken image.
     """
-    return _decoded(_Content(data))
+    return _decoded(_Content(data, name))
+
+
+def as_rgb(pixels: Pixels) -> Pixels:
+    """The same pixels with three or four channels, read-only: grey repeated as red, green and blue."""
+    channels = pixels.shape[2]
+    if channels == 1:
+        return np.broadcast_to(pixels, (*pixels.shape[:2], 3))
+    return pixels[..., [0, 0, 0, 1]] if channels == 2 else pixels
 
 
 class _Content:
     """Bytes that are compared by their SHA-256, so that the cache keeps pixels only."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, name: str) -> None:
         self.data: bytes | None = data
+        self.name = name
         self._digest = hashlib.sha256(data).digest()
 
     def __hash__(self) -> int:
@@ -51,13 +64,21 @@ def _decoded(content: _Content) -> Pixels:
     if content.data.startswith(IDENTIFIER):
         pixels: Pixels = decode_ktx2(content.data)
     else:
-        with open_image(content.data) as image:
-            pixels = np.asarray(image)
+        pixels = _pillow_pixels(content.data, content.name)
     content.data = None
-    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
-    pixels = pixels if pixels.dtype == np.uint8 else pixels.astype(np.float32) / np.float32(65535)
     pixels.setflags(write=False)
     return pixels
+
+
+def _pillow_pixels(data: bytes, name: str) -> Pixels:
+    try:
+        with open_image(data, name=name) as image, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about metadata that is not used
+            return image_codes(image)
+    except HirError:
+        raise
+    except Exception as error:  # Pillow's decoders raise many types on broken data
+        raise InputError(f"{name} is a broken image ({error}); write it again") from error
 
 
 def unit_values(pixels: Pixels) -> NDArray[np.float32]:

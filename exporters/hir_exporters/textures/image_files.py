@@ -9,9 +9,8 @@ from __future__ import annotations
 import io
 import os
 import warnings
-from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,12 @@ from hir_exporters.files.native_output import suppress_native_output
 from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.textures.ktx2 import IDENTIFIER, check_ktx2, decode_ktx2
 from hir_exporters.textures.pillow_images import MAX_PIXELS, open_image
+from hir_exporters.textures.pillow_pixels import image_codes
 from hir_exporters.textures.png_encoding import png_bytes
 from hir_exporters.textures.rgbe import RgbeError, decode_rgbe, encode_rgbe, read_size
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 _EXR_LAYOUTS: Final = {1: "Y", 3: "RGB", 4: "RGBA"}
 
@@ -240,23 +243,6 @@ def _read_radiance(source: Path, max_pixels: int) -> NDArray[np.float32]:
         raise InputError(f"{source} is a broken Radiance file: {error}") from error
 
 
-def _pillow_pixels(image: object) -> NDArray[np.float32]:
-    from PIL import Image
-
-    assert isinstance(image, Image.Image)
-    if image.mode in ("P", "PA"):
-        image = image.convert("RGBA" if "transparency" in image.info or image.mode == "PA" else "RGB")
-    wide: dict[str, Callable[[NDArray[np.generic]], NDArray[np.float32]]] = {
-        "I": lambda values: (np.clip(values, 0, 65535) / np.float32(65535)).astype(np.float32),
-        "F": lambda values: values.astype(np.float32),
-    }
-    if image.mode == "F" or image.mode.startswith("I"):
-        values = wide[image.mode[0]](np.asarray(image))
-        if not np.isfinite(values).all():
-            raise ValueError("NaN or infinite pixels")
-        return values[..., None]
-    if image.mode not in ("L", "LA", "RGB", "RGBA"):
-        image = image.convert("L" if image.mode == "1" else "RGB")
-    pixels = np.asarray(image)
-    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
-    return pixels.astype(np.float32) / np.float32(255)
+def _pillow_pixels(image: Image) -> NDArray[np.float32]:
+    pixels = image_codes(image)
+    return pixels.astype(np.float32) / np.float32(255) if pixels.dtype == np.uint8 else pixels

@@ -14,6 +14,7 @@ from hir_exporters.formats import create_exporter
 from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.reading.asset_decoding import decode_asset
 from hir_exporters.reading.file_verification import READERS, read_back
+from hir_exporters.reading.gltf_json.stored_accessors import check_geometry
 from hir_exporters.scene_format import load_scene
 from hir_exporters.textures.image_files import read_exr, read_hdr
 from numpy.typing import NDArray
@@ -48,6 +49,8 @@ def load_displayed_asset(source: Path) -> DisplayedAsset:
         raise InputError(f"{source} does not exist; give a run directory, a scene folder or a file such as a .glb")
     beside = source.with_suffix(".hdr")
     radiance = read_hdr(beside) if beside.is_file() else None
+    if source.suffix.lower() in (".glb", ".gltf"):
+        check_geometry(source)
     content = source.read_bytes() if source.suffix.lower() == ".glb" else None
     if content is not None and not any(name in content for name in COMPRESSIONS):
         return DisplayedAsset(source.stem, content, radiance)

@@ -21,6 +21,7 @@ from pxr import Sdf, Usd
 from hir_core.cli.export_command import parse_lods
 from hir_core.run.run_directory import RunDirectory
 from tests.fixtures.command_line import hir
+from tests.fixtures.gltf_quads import write_quad
 from tests.hir_exporters.reading.usd_samples import surface_of, write_box
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -59,6 +60,13 @@ def test_what_an_import_leaves_out_is_said(tmp_path: Path, capsys: pytest.Captur
     path = write_box(tmp_path, edit)
     assert hir("export", path, "-f", "glb", "--no-verify", "-o", tmp_path / "out") == 0
     assert f"hir: {path}: opacity of its material is left out" in capsys.readouterr().err
+
+
+def test_what_a_gltf_has_and_an_asset_has_not_is_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_quad(tmp_path / "quad.glb", {"emissiveFactor": [1, 1, 1], "doubleSided": True})
+    assert hir("export", path, "-f", "glb", "-o", tmp_path / "out") == 0
+    named = [line for line in capsys.readouterr().err.splitlines() if "is read without" in line]
+    assert len(named) == 1 and named[0].startswith(f"hir: {path} is read without emission and the back of its open")
 
 
 def test_a_scene_of_an_earlier_call_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

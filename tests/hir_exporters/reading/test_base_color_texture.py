@@ -166,7 +166,10 @@ def test_several_base_colours_are_one_sentence(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("reference", "words"),
-    [({"texCoord": 1}, "second texture coordinates"), ({"extensions": {"KHR_texture_transform": {}}}, "a transform")],
+    [
+        ({"texCoord": 1}, "second texture coordinates"),
+        ({"extensions": {"KHR_texture_transform": {"scale": [2, 2]}}}, "a transform"),
+    ],
 )
 def test_other_texture_coordinates_are_refused(reference: dict[str, object], words: str, tmp_path: Path) -> None:
     material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, **reference}}}

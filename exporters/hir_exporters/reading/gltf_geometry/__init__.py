@@ -1,1 +1,1 @@
-"""Accessors and nodes of glTF files, compressed and not, as arrays."""
+"""Accessors, nodes and required extensions of glTF files, compressed and not."""
