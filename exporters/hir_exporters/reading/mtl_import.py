@@ -121,10 +121,16 @@ def _picture(path: Path, material: Material, keyword: str) -> Path | None:
             f"{statement.location} has the option -imfchan {channel}, which cannot be read; save this channel as a "
             "grey image"
         )
-    file = contained_file(path, texture.name)
+    return _existing(path, statement)
+
+
+def _existing(path: Path, statement: MtlStatement) -> Path:
+    """The picture that a statement names."""
+    name = texture_map(statement.value).name
+    file = contained_file(path, name)
     if not os.path.isfile(file):
         raise InputError(
-            f"{statement.location} names {texture.name[:80]!r}, which is not in the folder of {path.name}; put it there"
+            f"{statement.location} names {name[:80]!r}, which is not in the folder of {path.name}; put it there"
         )
     return file
 
@@ -136,8 +142,8 @@ def _normal(path: Path, material: Material) -> Path | None:
     keyword = next((keyword for keyword in _BUMP if keyword in material), None)
     if keyword is None:
         return None
-    statement, file = material[keyword], _picture(path, material, keyword)
-    assert file is not None
+    statement = material[keyword]
+    file = _existing(path, statement)
     if not is_normal_map(file):
         warnings.warn(
             f"{statement.location} names {file.name!r}, a height map, which is left out; bake it into a normal map, "
@@ -152,7 +158,7 @@ def _normal(path: Path, material: Material) -> Path | None:
             "with a strength of 1",
             stacklevel=6,
         )
-    return file
+    return _picture(path, material, keyword)
 
 
 def _color(statement: MtlStatement | None) -> tuple[float, float, float] | None:
@@ -181,20 +187,20 @@ def _check_unit_range(statement: MtlStatement, numbers: Sequence[float]) -> None
 
 def _warn_of_left_out(path: Path, name: str, material: Material, has_roughness: bool) -> None:
     """One warning for what an asset cannot have, and one for highlights without a roughness."""
-    owner = f"{path}: of the material {name[:80]!r}"
+    owner = f"of the material {name[:80]!r}"
     lost = [key for key, neutral in _LEFT_OUT.items() if key in material and not _is_neutral(material[key], neutral)]
     if lost:
         warnings.warn(
-            f"{owner}, {_listed(lost, material)} are left out, because an asset cannot have them; bake what they "
-            "show into the base colour",
+            f"{path}: the import leaves out {_listed(lost, material)} {owner}, because an asset cannot have them; bake "
+            "what they show into the base colour",
             stacklevel=6,
         )
     lobes = [key for key in _SPECULAR if key in material]
     matt = "map_ks" not in material and "ks" in material and _is_neutral(material["ks"], 0.0)
     if lobes and not has_roughness and not matt:
         warnings.warn(
-            f"{owner}, {_listed(lobes, material)} are left out, because programs define them differently; give the "
-            "roughness with --roughness",
+            f"{path}: the import leaves out {_listed(lobes, material)} {owner}, because programs define them "
+            "differently; give the roughness with --roughness",
             stacklevel=6,
         )
 

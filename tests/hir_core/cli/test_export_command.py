@@ -54,7 +54,7 @@ def test_what_an_import_leaves_out_is_shown(tmp_path: Path, capsys: pytest.Captu
     (tmp_path / "plate.obj").write_text("mtllib plate.mtl\nusemtl a\n" + PLATE)
     (tmp_path / "plate.mtl").write_text("newmtl a\nd 0.5\n")
     assert hir("export", tmp_path / "plate.obj", "-f", "obj", "--no-verify", "-o", tmp_path / "out") == 0
-    assert "plate.obj: of the material 'a', d 0.5 are left out" in capsys.readouterr().err
+    assert "plate.obj: the import leaves out d 0.5 of the material 'a', because" in capsys.readouterr().err
     (tmp_path / "plate.obj").write_text(PLATE + "f 1/1 2/2 999999999/3\n")
     assert hir("export", tmp_path / "plate.obj", "-f", "obj", "-o", tmp_path / "out") == 2
     assert "plate.obj: mesh.faces has an index out of range in line 11" in capsys.readouterr().err

@@ -32,8 +32,8 @@ class FaceCorners:
 def read_corners(path: Path, faces: Statements, vertex_lines: tuple[list[int], list[int], list[int]]) -> FaceCorners:
     """Corners of all faces; `vertex_lines` are the lines of the statements v, vt and vn.
 
-    Negative indices count backwards from the face. Raises `InputError` with the line where a corner is malformed, or
-    has an index that no statement defines.
+    Negative indices count backwards from the face. Without any vt no corner has a texture coordinate. Raises
+    `InputError` with the line where a corner is malformed, or has an index that no statement defines.
     """
     lines, vertices = np.array(faces.lines, np.int64), [np.array(lines, np.int64) for lines in vertex_lines]
     parts, sizes = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)]
@@ -95,6 +95,9 @@ def _resolved(
     """Indices from 0, -1 for none; `lines` are those of the corners."""
     resolved = written - 1  # 0, which means none, becomes -1
     for column, defined in enumerate(vertices):
+        if NAMES[column] == "vt" and not len(defined):
+            resolved[:, column] = -1  # no texture coordinates at all: an error where a reader needs them
+            continue
         values = written[:, column]
         relative = values < 0
         if relative.any():

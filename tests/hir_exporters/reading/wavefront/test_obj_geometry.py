@@ -230,6 +230,10 @@ def test_other_readers_get_the_same_mesh(tmp_path: Path) -> None:
     (tmp_path / "c.obj").write_text(colored)
     found = load_mesh_scene(tmp_path / "c.obj", process=False).to_mesh().visual.vertex_colors
     np.testing.assert_array_equal(found[:, :3], [[255, 0, 0], [0, 255, 0], [0, 0, 128]])
+    (tmp_path / "bare.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/2 3/3\n")
+    assert len(load_mesh_scene(tmp_path / "bare.obj").to_mesh().faces) == 1
+    with pytest.raises(InputError, match=r"mesh\.uvs is missing"):
+        load_mesh_asset(tmp_path / "bare.obj")
     (tmp_path / "far.obj").write_text(SQUARE + "f 1 2 999999999\n")
     with pytest.raises(InputError, match=r"far\.obj: mesh\.faces has an index out of range in line 10"):
         load_mesh_scene(tmp_path / "far.obj")
