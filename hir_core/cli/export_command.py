@@ -97,13 +97,14 @@ def export_command(
 ) -> None:
     """Writes the asset of a RUN, a SCENE folder or a MESH file in other formats.
 
-    A MESH is an .obj, .ply, .glb, .gltf or USD file with texture coordinates. The material is that of the file, or
-    that of the options. Features of a glTF material that an asset cannot represent are named.
+    A MESH is an .obj, .ply, .glb, .gltf or USD file with texture coordinates. The material is that of the file (of an
+    .obj that of its .mtl, of a .ply its texture), or that of the options. A warning names what is left out.
     """
     from hir_exporters.exporter import ExportReport
     from hir_exporters.mesh.placement import placed_asset, placement
 
     from hir_core.plugins.manager import PluginManager
+    from hir_core.run.python_warnings import forward_user_warnings
     from hir_core.stages.export.asset_export import export_asset
 
     maps = {"base_color": base_color, "roughness": roughness, "metallic": metallic, "normal": normal}
@@ -117,7 +118,8 @@ def export_command(
     }
     options = _options(plugins, assignments, chosen, shortcuts)
     # not while another thread imports pxr: two extension modules that load at once can wait for each other for ever
-    asset = _asset(source, {n: text for n, text in maps.items() if text is not None}, light)
+    with forward_user_warnings(lambda text: click.echo(f"hir: {text}", err=True)):
+        asset = _asset(source, {n: text for n, text in maps.items() if text is not None}, light)
     if take is not None:
         asset = _in_take(asset, source, take)
     matrix = placement(asset, scale, height, pivot)

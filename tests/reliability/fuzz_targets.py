@@ -245,7 +245,9 @@ def _mesh(name: str) -> Callable[[Path], object]:
     def read(folder: Path) -> object:
         from hir_plugins.initializers.existing_mesh.mesh_loading import load_mesh
 
-        return load_mesh(folder / name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            return load_mesh(folder / name)
 
     return read
 
@@ -254,7 +256,9 @@ def _asset(name: str) -> Callable[[Path], object]:
     def read(folder: Path) -> object:
         from hir_exporters.reading.mesh_import import load_mesh_asset
 
-        return load_mesh_asset(folder / name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # about what is left out
+            return load_mesh_asset(folder / name)
 
     return read
 

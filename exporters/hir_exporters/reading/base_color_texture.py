@@ -21,12 +21,11 @@ from hir_exporters.reading.gltf_json.gltf_surface import SPECULAR_GLOSSINESS
 from hir_exporters.reading.gltf_json.gltf_textures import image_source
 from hir_exporters.reading.gltf_json.texture_placement import placement_problem
 from hir_exporters.reading.mesh_references import check_references, contained_file, gltf_content, image_bytes, uris
+from hir_exporters.reading.wavefront.mtl_statements import read_library, texture_map
+from hir_exporters.reading.wavefront.obj_statements import library_names, read_statements, used_materials
 from hir_exporters.textures.image_files import quantize, read_rgb8
 
 _GLTF: Final = (".gltf", ".glb")
-_MTLLIB: Final = re.compile(rb"^[ \t]*mtllib[ \t]+(.*?)[ \t\r]*$", re.MULTILINE)
-_USEMTL: Final = re.compile(rb"^[ \t]*usemtl[ \t]+(.*?)[ \t\r]*$", re.MULTILINE)
-_FACE: Final = re.compile(rb"^[ \t]*f[ \t]", re.MULTILINE)
 _TEXTURE_FILE: Final = re.compile(rb"^comment[ \t]+texturefile[ \t]+(.*?)[ \t\r]*$", re.MULTILINE | re.IGNORECASE)
 _PLY_HEADER_BYTES: Final = 1 << 16
 _WHITE: Final = (1.0, 1.0, 1.0)
@@ -80,10 +79,10 @@ def named_files(path: Path) -> list[Path]:
         if path.suffix.lower() in _GLTF:
             names = [uri for uri in uris(gltf_content(path)[0]) if not uri.startswith("data:")]
         else:
-            library = _library(path) if path.suffix.lower() == ".obj" else None
-            missing = library is not None and not contained_file(path, library).is_file()
+            libraries = _libraries(path) if path.suffix.lower() == ".obj" else []
+            missing = any(not contained_file(path, library).is_file() for library in libraries)
             pictures = [] if missing else [color.picture for color in _base_colors(path)]
-            names = [name for name in (library, *pictures) if isinstance(name, str)]
+            names = [name for name in (*libraries, *pictures) if isinstance(name, str)]
         files = [_named_file(path, name) for name in dict.fromkeys(names)]
         return [file for file in files if file.is_file()]
     except HirError:
@@ -100,43 +99,33 @@ def _base_colors(path: Path) -> Iterator[_BaseColor]:
     elif suffix == ".obj":
         yield from _obj_base_colors(path)
     elif suffix == ".ply":
-        with open(path, "rb") as stream:
-            header = stream.read(_PLY_HEADER_BYTES).partition(b"end_header")[0]
-        for name in _TEXTURE_FILE.findall(header):
-            yield _BaseColor(_text(name), _text(name))
+        for name in _ply_textures(path):
+            yield _BaseColor(name, name)
 
 
 def _obj_base_colors(path: Path) -> Iterator[_BaseColor]:
-    library = _library(path)
-    if library is None:
+    libraries = _libraries(path)
+    if not libraries:
         return
-    file = contained_file(path, library)
-    if not file.is_file():
-        raise InputError(f"{path} names {library[:80]!r}, which is not in its folder; put it beside the file")
-    materials = _mtl_base_colors(path, file)
-    content = path.read_bytes()
-    statements = list(_USEMTL.finditer(content))
-    names = ["", *(_text(statement[1]) for statement in statements)]
-    bounds = [0, *(statement.end() for statement in statements), len(content)]
-    for name, begin, end in zip(names, bounds[:-1], bounds[1:], strict=True):
-        if _FACE.search(content, begin, end):
-            yield materials.get(name, _BaseColor("faces without a material", None))
+    materials: dict[str, _BaseColor] = {}
+    for library in libraries:
+        file = contained_file(path, library)
+        if not file.is_file():
+            raise InputError(f"{path} names {library[:80]!r}, which is not in its folder; put it beside the file")
+        materials = _mtl_base_colors(file) | materials
+    for name in used_materials(read_statements(path)):
+        yield materials.get(name, _BaseColor("faces without a material", None))
 
 
-def _mtl_base_colors(path: Path, library: Path) -> dict[str, _BaseColor]:
+def _mtl_base_colors(library: Path) -> dict[str, _BaseColor]:
     """Base colours by the name of the material. A picture replaces the colour Kd, as most programs mean it."""
     materials: dict[str, _BaseColor] = {}
-    material = ""
-    for line in library.read_text(encoding="utf-8", errors="replace").splitlines():
-        key, *rest = line.split(maxsplit=1)[:2] or [""]
-        value = rest[0].strip() if rest else ""
-        if key == "newmtl":
-            material = value
-            materials[material] = _BaseColor(f"the colour of {material!r}", None)
-        elif key.lower() == "map_kd" and value:
-            # options such as -bm 1.0 precede the name, which may contain spaces
-            picture = value if contained_file(path, value).is_file() else value.split()[-1]
-            materials[material] = _BaseColor(picture, picture)
+    for material, statements in read_library(library).items():
+        materials[material] = _BaseColor(f"the colour of {material!r}", None)
+        if "map_kd" in statements:
+            texture = texture_map(statements["map_kd"].value)
+            problem = f"has the option {texture.change}" if texture.change else ""
+            materials[material] = _BaseColor(texture.name, texture.name, problem=problem)
     return materials
 
 
@@ -190,10 +179,26 @@ def _multiplied(codes: NDArray[np.uint8], factor: tuple[float, ...]) -> NDArray[
     return np.stack(channels, axis=-1).astype(np.uint8)
 
 
-def _library(path: Path) -> str | None:
-    """The material library that an .obj names."""
-    match = _MTLLIB.search(path.read_bytes())
-    return _text(match[1]) if match and match[1] else None
+def ply_texture(path: Path) -> Path | None:
+    """The picture that a .ply names as its texture; `InputError` where it is missing or one of several."""
+    names = list(dict.fromkeys(_ply_textures(path)))
+    if len(names) > 1:
+        raise InputError(f"{path} has {len(names)} textures; an asset has one: bake them into one first")
+    file = contained_file(path, names[0]) if names else None
+    if file is not None and not file.is_file():
+        raise InputError(f"{path} names {names[0][:80]!r}, which is not in its folder; put it beside the file")
+    return file
+
+
+def _ply_textures(path: Path) -> list[str]:
+    with open(path, "rb") as stream:
+        header = stream.read(_PLY_HEADER_BYTES).partition(b"end_header")[0]
+    return [_text(name) for name in _TEXTURE_FILE.findall(header)]
+
+
+def _libraries(path: Path) -> list[str]:
+    """The material libraries that an .obj names."""
+    return [name for text in read_statements(path)[b"mtllib"].texts() for name in library_names(text)]
 
 
 def _named_file(path: Path, name: str) -> Path:

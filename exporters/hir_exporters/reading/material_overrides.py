@@ -59,8 +59,8 @@ def parse_material_override(name: str, text: str) -> Path | float | tuple[float,
     return file
 
 
-def _pixels(path: Path) -> tuple[Array, bool]:
-    """Pixels (H, W, C), and whether they are linear."""
+def load_pixels(path: Path) -> tuple[Array, bool]:
+    """Pixels (H, W, C) of an image, and whether they are linear."""
     if path.suffix.lower() in (".exr", ".hdr"):
         return read_hdr(path), True
     return read_ldr(path), False
@@ -70,7 +70,7 @@ def load_color(value: Path | tuple[float, float, float]) -> Array:
     """Linear colour (H, W, 3) of an image, or (3,) of a constant."""
     if not isinstance(value, Path):
         return _in_unit_range(value, "base_color")
-    pixels, linear = _pixels(value)
+    pixels, linear = load_pixels(value)
     pixels = pixels if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
     return pixels[..., :3] if linear else srgb_to_linear(pixels[..., :3])
 
@@ -79,7 +79,7 @@ def load_scalar(value: Path | float, name: str) -> Array:
     """Roughness or metalness (H, W) of an image, or () of a constant."""
     if not isinstance(value, Path):
         return _in_unit_range(value, name)
-    pixels, _ = _pixels(value)
+    pixels, _ = load_pixels(value)
     # In a packed image (occlusion, roughness, metalness) the channel of glTF.
     channel = {"roughness": 1, "metallic": 2}[name] if pixels.shape[2] >= 3 else 0
     return np.ascontiguousarray(pixels[..., channel])
@@ -94,7 +94,7 @@ def _in_unit_range(value: float | tuple[float, float, float], name: str) -> Arra
 
 def load_normal_map(path: Path) -> NDArray[np.float32]:
     """Unit vectors (H, W, 3) of a normal map, green up."""
-    pixels, linear = _pixels(path)
+    pixels, linear = load_pixels(path)
     if pixels.shape[2] < 3:
         raise InputError(f"{path} is a grey image; a normal map has three channels")
     vectors = np.asarray(pixels[..., :3] if linear else pixels[..., :3] * 2 - 1, np.float32)

@@ -1,7 +1,8 @@
 """Makes an asset from mesh files of other programs: a mesh with UVs, its material, and optionally a light.
 
-Formats are .obj, .ply, .glb, .gltf and USD. The material is that of the file, for an .obj that of its .mtl;
-`MaterialOverrides` replace its parameters. No file outside the mesh file's folder is opened unless the caller names it.
+Formats are .obj, .ply, .glb, .gltf and USD. The material is that of the file, for an .obj that of its .mtl, for a .ply
+the texture that it names; `MaterialOverrides` replace its parameters. A warning names what is left out. No file outside
+the mesh file's folder is opened unless the caller names it.
 """
 
 from __future__ import annotations
@@ -20,12 +21,15 @@ from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.materials.material_conversion import collapse_uniform_textures
 from hir_exporters.materials.surfaces import default_surface
 from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
+from hir_exporters.reading.base_color_texture import ply_texture
 from hir_exporters.reading.environment_import import read_light
 from hir_exporters.reading.gltf_readback import gltf_scene, read_gltf_surface, read_gltf_uvs
 from hir_exporters.reading.material_overrides import MaterialOverrides, load_color, load_normal_map, load_scalar
 from hir_exporters.reading.mesh_references import check_references, load_mesh_scene
 from hir_exporters.reading.mtl_import import read_mtl
 from hir_exporters.reading.usd_reading.usd_import import read_untrusted_usd
+from hir_exporters.reading.wavefront.obj_geometry import ObjGeometry, read_obj
+from hir_exporters.reading.wavefront.obj_mesh import split_vertices, vertex_normals
 
 Array = NDArray[np.floating]
 
@@ -47,6 +51,11 @@ def load_mesh_asset(path: Path, maps: MaterialOverrides | None = None, light: Pa
         mesh, material = written.mesh, written.material
         if maps != MaterialOverrides():
             raise InputError(f"{path} has its own material; textures can be given only for .obj, .ply, .glb and .gltf")
+    elif suffix == ".obj":
+        check_references(path)
+        geometry = read_obj(path)
+        mesh = _obj_mesh(path, geometry)
+        material = _checked_material(path, suffix, read_mtl(path, geometry, maps), mesh)
     else:
         mesh = _trimesh_mesh(path)
         if suffix in (".glb", ".gltf"):
@@ -61,6 +70,25 @@ def load_mesh_asset(path: Path, maps: MaterialOverrides | None = None, light: Pa
     return asset
 
 
+def _obj_mesh(path: Path, geometry: ObjGeometry) -> AssetMesh:
+    if not len(geometry.corners):
+        raise InputError(f"{path}: mesh.faces contains no triangles")
+    without = int((geometry.corners[..., 1] < 0).any(axis=1).sum())
+    if without:
+        raise InputError(
+            f"{path}: mesh.uvs is missing for {without} of {len(geometry.corners)} triangles; unwrap the mesh first"
+        )
+    mesh = split_vertices(geometry)
+    uvs = geometry.uvs[mesh.vertices[:, 1]] * [1, -1] + [0, 1]  # v is upwards there
+    with np.errstate(over="ignore"):  # infinite numbers are refused later
+        return AssetMesh(
+            positions=geometry.positions[mesh.vertices[:, 0]].astype(np.float32),
+            normals=vertex_normals(geometry, mesh).astype(np.float32),
+            uvs=uvs.astype(np.float32),
+            faces=mesh.faces.astype(np.int32),
+        )
+
+
 def _trimesh_mesh(path: Path) -> AssetMesh:
     import trimesh
 
@@ -73,7 +101,7 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
                 check_references(path)
                 loaded = gltf_scene(path, GLTF2().load(str(path)))
             else:
-                loaded = load_mesh_scene(path, process=False, maintain_order=True)
+                loaded = load_mesh_scene(path, process=False)
             parts: list[Any] = [m for m in loaded.dump() if isinstance(m, trimesh.Trimesh) and len(m.faces)]
     except HirError:
         raise
@@ -133,8 +161,8 @@ def _material(path: Path, suffix: str, maps: MaterialOverrides, mesh: AssetMesh)
         return material if maps.normal is None else replace(material, normal=load_normal_map(maps.normal))
     if found is not None:
         surface, _, normal = found
-    elif suffix == ".obj":
-        maps = _with_defaults(maps, read_mtl(path))
+    elif suffix == ".ply" and maps.base_color is None:
+        maps = replace(maps, base_color=ply_texture(path))
     surface = replace(
         surface,
         base_color=surface.base_color if maps.base_color is None else load_color(maps.base_color),
@@ -147,13 +175,3 @@ def _material(path: Path, suffix: str, maps: MaterialOverrides, mesh: AssetMesh)
 
 def _unset(maps: MaterialOverrides) -> bool:
     return maps.base_color is None and maps.roughness is None and maps.metallic is None
-
-
-def _with_defaults(maps: MaterialOverrides, defaults: MaterialOverrides) -> MaterialOverrides:
-    """`maps`, with `defaults` for parameters that it does not set."""
-    return MaterialOverrides(
-        defaults.base_color if maps.base_color is None else maps.base_color,
-        defaults.roughness if maps.roughness is None else maps.roughness,
-        defaults.metallic if maps.metallic is None else maps.metallic,
-        defaults.normal if maps.normal is None else maps.normal,
-    )

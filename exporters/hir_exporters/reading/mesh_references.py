@@ -1,4 +1,4 @@
-"""Loads .obj, .ply, .gltf, .glb, .stl and .off files of others with trimesh, after a check of all that they name.
+"""Loads mesh files of others, after a check of all that they name: .obj with `wavefront`, all others with trimesh.
 
 A file may name other files: buffers, images, material libraries. All must be regular files in the folder of the file,
 also after percent-decoding and after links are resolved; images must be of the formats that `open_image` reads. The
@@ -21,6 +21,10 @@ from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.files.untrusted_json import parse_json
 from hir_exporters.reading.gltf_geometry.geometry_alone import geometry_alone, split_document
 from hir_exporters.reading.gltf_geometry.required_extensions import check_required_extensions
+from hir_exporters.reading.wavefront.mtl_statements import TEXTURES, read_library, texture_map
+from hir_exporters.reading.wavefront.obj_geometry import read_obj
+from hir_exporters.reading.wavefront.obj_mesh import trimesh_scene
+from hir_exporters.reading.wavefront.obj_statements import library_names
 from hir_exporters.textures.ktx2 import IDENTIFIER, check_ktx2
 from hir_exporters.textures.pillow_images import open_image
 
@@ -43,17 +47,16 @@ MAX_INDEX_LENGTH: Final = 60
 """Characters of one corner `v/vt/vn` of an .obj."""
 
 _LONG_LINE: Final = 4 * MAX_INDEX_LENGTH
-_TEXTURES: Final = ("map_", "norm", "bump", "disp", "decal", "refl")
 _ADDRESS: Final = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
 
 
 def load_mesh_scene(
-    path: Path, file: Any = None, kind: str = "", stored_uvs: bool = False, **options: Any
+    path: Path, file: Any = None, kind: str = "", stored_uvs: bool = False, process: bool = True
 ) -> trimesh.Scene:
-    """The scene of a mesh file; `options` are those of trimesh's loader.
+    """The scene of a mesh file; with `process` trimesh joins equal vertices.
 
-    The materials of a glTF are empty there: read them from the document. With `stored_uvs` its meshes have the
-    attribute `STORED_UVS` where their texture coordinates are floats.
+    The materials of a glTF or an .obj are empty there: read them from the document or the library. With `stored_uvs`
+    the meshes of a glTF have the attribute `STORED_UVS` where their texture coordinates are floats.
 
     `file` and `kind` are a stream and its format that replace the content of a checked file. Raises `InputError` where
     the file or one that it names is refused; trimesh's own errors are of many types.
@@ -61,11 +64,13 @@ def load_mesh_scene(
     import trimesh
 
     check_references(path)
+    if path.suffix.lower() == ".obj":
+        return trimesh_scene(read_obj(path), process)
     source = path if file is None else file
     kind = kind or path.suffix[1:].lower()
     if kind in ("glb", "gltf"):
         source = io.BytesIO(geometry_alone(path.read_bytes() if file is None else file.read(), stored_uvs))
-    return trimesh.load_scene(source, file_type=kind, resolver=_contained_resolver(path), **options)
+    return trimesh.load_scene(source, file_type=kind, resolver=_contained_resolver(path), process=process)
 
 
 def check_references(path: Path) -> None:
@@ -227,19 +232,18 @@ def _check_obj(path: Path) -> None:
             if max(map(len, corners), default=0) > MAX_INDEX_LENGTH:
                 raise InputError(f"{path} has an index of too many digits; export it again")
         elif b"mtllib" in line:
-            name = line.partition(b"mtllib")[2].decode("utf-8", "replace").strip()
-            library = contained_file(path, name) if name else None
-            if library is not None and _is_file(library):
-                _check_mtl(path, library)
+            for name in library_names(line.partition(b"mtllib")[2].decode("utf-8", "replace").strip()):
+                library = contained_file(path, name)
+                if _is_file(library):
+                    _check_mtl(path, library)
 
 
 def _check_mtl(path: Path, library: Path) -> None:
     """Checks the textures of a material library, whose names are relative to the folder of the .obj `path`."""
-    for line in library.read_text(encoding="utf-8", errors="replace").splitlines():
-        key, _, rest = line.strip().partition(" ")
-        if key.lower().startswith(_TEXTURES) and rest.strip():
-            for name in dict.fromkeys((rest.strip(), rest.split()[-1])):  # options such as -bm 1.0 precede the name
-                image = contained_file(path, name)
+    for material in read_library(library).values():
+        for keyword, statement in material.items():
+            if keyword.startswith(TEXTURES):
+                image = contained_file(path, texture_map(statement.value).name)
                 if _is_file(image):
                     open_image(image).close()
 

@@ -69,6 +69,16 @@ def test_what_a_gltf_has_and_an_asset_has_not_is_named_once(tmp_path: Path, caps
     assert len(named) == 1 and named[0].startswith(f"hir: {path} is read without emission and the back of its open")
 
 
+def test_what_an_import_leaves_out_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "plate.obj").write_text("mtllib plate.mtl\nusemtl a\n" + PLATE)
+    (tmp_path / "plate.mtl").write_text("newmtl a\nd 0.5\n")
+    assert hir("export", tmp_path / "plate.obj", "-f", "obj", "--no-verify", "-o", tmp_path / "out") == 0
+    assert "plate.obj: the import leaves out d 0.5 of the material 'a', because" in capsys.readouterr().err
+    (tmp_path / "plate.obj").write_text(PLATE + "f 1/1 2/2 999999999/3\n")
+    assert hir("export", tmp_path / "plate.obj", "-f", "obj", "-o", tmp_path / "out") == 2
+    assert "plate.obj: mesh.faces has an index out of range in line 11" in capsys.readouterr().err
+
+
 def test_a_scene_of_an_earlier_call_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_scene(plate(), tmp_path / "scene")
     run = RunDirectory(tmp_path)

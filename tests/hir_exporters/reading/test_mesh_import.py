@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hir_exporters.asset import Asset, describe
-from hir_exporters.conventions import linear_to_srgb
+from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 from hir_exporters.errors import InputError
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
@@ -112,6 +112,31 @@ def test_bad_input_names_file_and_field(textured_asset: Asset, tmp_path: Path) -
     create_exporter("usda").write(textured_asset, tmp_path / "x.usda")
     with pytest.raises(InputError, match="its own material"):
         load_mesh_asset(tmp_path / "x.usda", MaterialOverrides(roughness=0.5))
+
+
+def test_the_texture_of_a_ply_is_its_base_colour(tmp_path: Path) -> None:
+    codes = np.random.default_rng(0).integers(0, 256, (6, 4, 3)).astype(np.uint8)
+    write_png(tmp_path / "a b.png", codes)
+    header = "ply\nformat ascii 1.0\n{}element vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    rows = "end_header\n0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n"
+    text = (
+        header + "property float s\nproperty float t\nelement face 1\nproperty list uchar int vertex_indices\n" + rows
+    )
+    file = tmp_path / "a.ply"
+    file.write_text(text.format("comment TextureFile a b.png\n"))
+    np.testing.assert_allclose(load_mesh_asset(file).material.diffuse_albedo, srgb_to_linear(codes / 255), atol=1e-6)
+    red = load_mesh_asset(file, MaterialOverrides(base_color=(1.0, 0.0, 0.0))).material.diffuse_albedo
+    np.testing.assert_array_equal(red, [1, 0, 0])
+    file.write_text(text.format(""))
+    np.testing.assert_array_equal(load_mesh_asset(file).material.diffuse_albedo, [0.5] * 3)
+    for comments, message in {
+        "comment TextureFile gone.png\n": r"a\.ply names 'gone\.png', which is not in its folder; put it beside",
+        "comment TextureFile ../t.png\n": "outside its folder",
+        "comment TextureFile a.png\ncomment TextureFile b.png\n": r"a\.ply has 2 textures; an asset has one: bake",
+    }.items():
+        file.write_text(text.format(comments))
+        with pytest.raises(InputError, match=message):
+            load_mesh_asset(file)
 
 
 def test_numbers_and_colours_are_parsed() -> None:

@@ -1,0 +1,1 @@
+"""Reads Wavefront .obj files and their material libraries."""
