@@ -51,9 +51,6 @@ OPTIONAL_MODULES: Final = {
     "batch": {"ray": "ray", "fsspec": "fsspec"},
     "compress": {"DracoPy": "DracoPy", "meshopt": "meshopt"},
     "collision": {"coacd": "coacd"},
-    "photos": {"pillow_heif": "pillow-heif", "rawpy": "rawpy"},
-    "rembg": {"rembg": "rembg"},
-    "tensorboard": {"tensorboard": "tensorboard"},
 }
 """As `MODULES`, of extras for single features; without them the installation is sound."""
 
