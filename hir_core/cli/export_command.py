@@ -104,7 +104,7 @@ def export_command(
     from hir_exporters.mesh.placement import placed_asset, placement
 
     from hir_core.plugins.manager import PluginManager
-    from hir_core.stages.export.asset_export import export_asset
+    from hir_core.stages.export.asset_export import editors_of, export_asset
 
     maps = {"base_color": base_color, "roughness": roughness, "metallic": metallic, "normal": normal}
     plugins = PluginManager.discover(plugin_files)
@@ -143,7 +143,8 @@ def export_command(
 
             click.echo(f"asset: {asset_health(asset).sentence()}")
         for name, report in reports.items():
-            verification = verify_export(report, asset, options.get(name), rerender, why_not, engines)
+            hooks = editors_of(name, plugins)
+            verification = verify_export(report, asset, options.get(name), rerender, why_not, engines, hooks)
             for warning in verification.warnings:
                 click.echo(f"hir: {name}: {warning}", err=True)
             if not quiet:

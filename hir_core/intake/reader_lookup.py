@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hir_core.capture import Capture
-from hir_core.errors import CaptureError
+from hir_core.errors import CaptureError, PluginError
 from hir_core.files.file_names import check_text_path
+from hir_core.plugins.registration import a_value
 
 if TYPE_CHECKING:
     from hir_core.plugins.interfaces import CaptureReader
@@ -50,6 +51,11 @@ def read_capture(path: Path, split: str, plugins: PluginManager, reader: str = "
             )
         raise CaptureError(f"{path} has no split {split!r}; use one of: {', '.join(known) or 'none'}")
     try:
-        return replace(selected.read(path, split), reader=name)
+        capture = selected.read(path, split)
     except OSError as error:  # for example a file name in a camera file that is too long for the system
         raise CaptureError(f"{path} cannot be read as {name}: {error.strerror or error}") from error
+    if not isinstance(capture, Capture):
+        raise PluginError(
+            f"{plugins.find('capture_reader', name).label} returned {a_value(capture)} from read; return a Capture"
+        )
+    return replace(capture, reader=name)

@@ -61,6 +61,11 @@ class Registered:
     """The module that registered it."""
 
     @property
+    def label(self) -> str:
+        """`the exporter 'glb' of hir`, for messages."""
+        return f"the {self.kind.replace('_', ' ')} {self.component.name!r} of {self.distribution}"
+
+    @property
     def missing(self) -> tuple[str, ...]:
         """Required modules that are not installed."""
         return tuple(name for name in self.component.requires if not is_installed(name))
@@ -284,6 +289,10 @@ class PluginManager:
             for implementation in getattr(self._pluggy.hook, hook).get_hookimpls()
         )
 
+    def names_with(self, hook: str) -> list[str]:
+        """The names of the plugins that implement a hook."""
+        return [i.plugin_name for i in getattr(self._pluggy.hook, hook).get_hookimpls()]
+
     def notify(self, hook: str, **arguments: Any) -> None:
         """Calls an observer hook of every plugin; an exception is recorded once and does not stop the run."""
         for implementation in list(getattr(self._pluggy.hook, hook).get_hookimpls()):
@@ -339,14 +348,19 @@ class PluginManager:
                 self._report_once(f"{who} returned {a_value(page)}; return a page of HTML as text, or None")
         return None
 
-    def edit(self, hook: str, document: Any, asset: Any, argument: str) -> None:
-        """Lets plugins edit a finished document in place; a failure raises, because the document may be half edited."""
+    def edit(self, hook: str, document: Any, asset: Any, argument: str) -> list[str]:
+        """Lets plugins edit a finished document in place; the names of their hooks. A failure raises, because the
+        document may be half edited.
+        """
+        edited: list[str] = []
         for implementation in getattr(self._pluggy.hook, hook).get_hookimpls():
             try:
                 _call(implementation, {argument: document, "asset": asset})
             except Exception as error:
                 who = implementation.plugin_name
                 raise PluginError(f"{who}: {hook} raised {type(error).__name__}: {error}") from error
+            edited.append(f"{hook} of {implementation.plugin_name}")
+        return edited
 
     def _load(self, entry_point: EntryPoint, distribution: str, version: str) -> None:
         try:
