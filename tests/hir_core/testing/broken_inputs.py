@@ -92,10 +92,10 @@ class Quality:
     """Nothing sets it."""
 
 
-def reader(implementation: type = Reader, config: type = NoOptions) -> Component:
+def reader(implementation: type = Reader, config: type = NoOptions, module: str = HERE) -> Component:
     return Component(
         "wrapped",
-        f"{HERE}:{implementation.__name__}",
+        f"{module}:{implementation.__name__}",
         config,
         summary="A reader, wrapped.",
         testing="hir_plugins.readers.contract_inputs:transforms_json",
