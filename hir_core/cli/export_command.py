@@ -168,6 +168,9 @@ def _options(
             raise ConfigError(
                 f"--set {name}={table}: name the format and its option, such as --set glb.max_texture_size=1024"
             )
+        dotted = [r.component.name for r in plugins.components("exporter") if r.component.name.startswith(f"{name}.")]
+        if dotted and name not in {r.component.name for r in plugins.components("exporter")}:
+            raise ConfigError(f"--set {name}…: quote a name that contains a dot: --set '\"{dotted[0]}\".OPTION=VALUE'")
         plugins.find("exporter", name)
     for key, value in shortcuts.items():
         if value is None:
