@@ -134,8 +134,47 @@ class NeedsOne(Masks):
         return super().masks(capture, scene)
 
 
-def mask_source(implementation: type = Masks) -> Component:
-    return Component("keyed", f"{HERE}:{implementation.__name__}", summary="Masks, wrapped.")
+class TupleOfMasks(Masks):
+    def masks(self, capture: Capture, scene: Any) -> Any:
+        return tuple(super().masks(capture, scene))
+
+
+class NoMasks(Masks):
+    def masks(self, capture: Capture, scene: Any) -> Any:
+        return None
+
+
+class TensorMasks(Masks):
+    def masks(self, capture: Capture, scene: Any) -> Any:
+        import torch
+
+        return [torch.from_numpy(mask) for mask in super().masks(capture, scene)]
+
+
+class NeedsCameras(Masks):
+    def masks(self, capture: Capture, scene: Any) -> list[Any]:
+        if capture.cameras:
+            return super().masks(capture, scene)
+        return []
+
+
+class NeedsPoints(Masks):
+    def masks(self, capture: Capture, scene: Any) -> list[Any]:
+        return super().masks(capture, scene) if capture.points is not None else [None] * len(capture.views)
+
+
+class NoFiles(Masks):
+    def files(self, capture: Capture) -> Any:
+        return None
+
+
+class MissingFiles(Masks):
+    def files(self, capture: Capture) -> list[Path]:
+        return [capture.path / "no_such_file.png"]
+
+
+def mask_source(implementation: type = Masks, traits: frozenset[str] = frozenset()) -> Component:
+    return Component("keyed", f"{HERE}:{implementation.__name__}", summary="Masks, wrapped.", traits=traits)
 
 
 BROKEN_MASKS: dict[str, Component] = {

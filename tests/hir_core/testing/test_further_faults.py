@@ -8,7 +8,13 @@ from hir_core.plugins import Component
 from hir_core.plugins.manager import PluginManager
 from hir_core.testing import check_component
 from hir_core.testing.running import as_registered
-from tests.hir_core.testing import broken_inputs, broken_readers, broken_regularizers
+from tests.hir_core.testing import (
+    broken_exporters,
+    broken_initializers,
+    broken_inputs,
+    broken_readers,
+    broken_regularizers,
+)
 
 
 def reader(implementation: type) -> Component:
@@ -36,7 +42,42 @@ REGULARIZERS = [
     (made(broken_regularizers.PreparesNothing), FINITE, "prepare returns None; return a function of the scene"),
     (made(broken_regularizers.WithoutArgument), FINITE, "cannot be called with the scene alone: too many positional"),
 ]
-CASES = [("capture_reader", *case) for case in READERS] + [("regularizer", *case) for case in REGULARIZERS]
+RESULT, MASKS, BACK = "returns_capture_and_scene", "masks_are_the_true_ones", "reads_back"
+surface, mask_source, obj = broken_initializers.surface, broken_inputs.mask_source, broken_exporters.obj
+INITIALIZERS = [
+    (surface(broken_initializers.InsideOut), RESULT, "its triangles face inwards"),
+    (surface(broken_initializers.FromOne), RESULT, "triangles name the vertices 1 … "),
+    (surface(broken_initializers.Empty), RESULT, "the mesh has no triangles"),
+    (surface(broken_initializers.ReportsNothing), RESULT, "report() returns NoneType; return a dict"),
+    (surface(broken_initializers.ReportsArrays), RESULT, "report() cannot be written as JSON"),
+    (surface(broken_initializers.ScansAName), RESULT, "scan() returns str; return a Scan or None"),
+]
+READS_FILES = frozenset({"reads_files"})
+SOURCES = [
+    (mask_source(broken_inputs.TupleOfMasks), MASKS, "masks returns a tuple; return a list of numpy arrays"),
+    (mask_source(broken_inputs.NoMasks), MASKS, "masks returns None; return a list of numpy arrays"),
+    (mask_source(broken_inputs.TensorMasks), MASKS, "a list with a Tensor; return a list of numpy arrays"),
+    (mask_source(broken_inputs.NeedsCameras), MASKS, "has no camera"),
+    (mask_source(broken_inputs.NeedsPoints), MASKS, "no view of a capture made for it gets a mask"),
+    (mask_source(broken_inputs.NoFiles, READS_FILES), MASKS, "files() returns None; return a list of paths"),
+    (mask_source(broken_inputs.MissingFiles, READS_FILES), MASKS, "no_such_file.png, which is no file"),
+]
+EXPORTERS = [
+    (obj(broken_exporters.DownwardV), BACK, "texture coordinates of a corner are off by"),
+    (obj(broken_exporters.InwardNormals), BACK, "normals of a corner are off by 2"),
+    (obj(broken_exporters.NamesNoPicture), BACK, "it names no_such_picture.png, which it does not write"),
+    (obj(broken_exporters.NamesNoMaterials), BACK, "it names no_such_library.mtl, which it does not write"),
+    (obj(broken_exporters.OneWarning), BACK, "write a tuple of sentences"),
+    (obj(broken_exporters.NoReport), BACK, "write returns None; return an ExportReport"),
+]
+TABLE = {
+    "capture_reader": READERS,
+    "regularizer": REGULARIZERS,
+    "initializer": INITIALIZERS,
+    "mask_source": SOURCES,
+    "exporter": EXPORTERS,
+}
+CASES = [(kind, *case) for kind, cases in TABLE.items() for case in cases]
 
 
 @pytest.fixture(scope="module")
