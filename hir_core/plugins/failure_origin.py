@@ -13,7 +13,8 @@ from hir_core.plugins.manager import PluginManager, Registered
 
 OURS = ("hir", "")
 """Distributions whose components are built in, or stand for none."""
-OUR_PACKAGES = ("hir_core", "hir_exporters", "hir_plugins")
+OUR_PACKAGES = ("hir_core", "hir_exporters")
+"""Packages of this program, beside those of its own plugins."""
 
 
 def origin_of(error: BaseException) -> str:
@@ -28,12 +29,12 @@ def origin_of(error: BaseException) -> str:
         inside = [r for r in components if r.component.target.partition(":")[0] == module]
         if inside:
             return _component_of(frames, inside)
+    ours = {*OUR_PACKAGES, *(_package(loaded.module) for loaded in plugins.loaded if loaded.distribution in OURS)}
     for module in reversed(modules):
-        package = module.partition(".")[0]
-        if package in OUR_PACKAGES:
+        if _package(module) in ours:
             break  # a defect of this program, even where a command of a plugin called it
         for loaded in plugins.loaded:
-            if loaded.distribution not in OURS and loaded.module.partition(".")[0] == package:
+            if loaded.distribution not in OURS and _package(loaded.module) == _package(module):
                 return f"the plugin {loaded.distribution}"
     return ""
 
@@ -63,3 +64,7 @@ def _frames(error: BaseException) -> Iterator[FrameType]:
 def _managers(frame: FrameType) -> Iterator[PluginManager]:
     """The functions that create and call components have the plugin manager in a variable."""
     return (value for value in frame.f_locals.values() if isinstance(value, PluginManager))
+
+
+def _package(module: str) -> str:
+    return module.partition(".")[0]

@@ -172,17 +172,17 @@ def _same_corners(asset: Asset, file: ObjFile) -> None:
         "texture coordinates": "v of an asset points down, v of the format up: write 1 - v",
         "normals": "they point outwards and have the length 1",
     }
-    places = _corner_keys(np.asarray(mesh.positions, np.float64)[mesh.faces])
-    found_places = _corner_keys(file.positions)
+    keys = _corner_keys(np.asarray(mesh.positions, np.float64)[mesh.faces])
+    found_keys = _corner_keys(file.positions)
     for name, found in (("texture coordinates", file.uvs), ("normals", file.normals)):
         if found is None:
             continue
         expected: dict[tuple[float, ...], list[np.ndarray]] = {}
-        for key, value in zip(places, truth[name][mesh.faces].reshape(len(places), -1), strict=True):
+        for key, value in zip(keys, truth[name][mesh.faces].reshape(len(keys), -1), strict=True):
             expected.setdefault(key, []).append(value)
         off = max(
             min((float(np.abs(value - one).max()) for one in expected.get(key, [])), default=0.0)
-            for key, value in zip(found_places, found.reshape(len(found_places), -1), strict=True)
+            for key, value in zip(found_keys, found.reshape(len(found_keys), -1), strict=True)
         )
         require(off < 1e-3, f"{name} of a corner are off by {off:.3g}; {advice[name]}")
 

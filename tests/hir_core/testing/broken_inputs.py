@@ -144,11 +144,9 @@ class NoMasks(Masks):
         return None
 
 
-class TensorMasks(Masks):
+class NestedLists(Masks):
     def masks(self, capture: Capture, scene: Any) -> Any:
-        import torch
-
-        return [torch.from_numpy(mask) for mask in super().masks(capture, scene)]
+        return [mask.tolist() for mask in super().masks(capture, scene)]
 
 
 class NeedsCameras(Masks):

@@ -56,7 +56,7 @@ READS_FILES = frozenset({"reads_files"})
 SOURCES = [
     (mask_source(broken_inputs.TupleOfMasks), MASKS, "masks returns a tuple; return a list of numpy arrays"),
     (mask_source(broken_inputs.NoMasks), MASKS, "masks returns None; return a list of numpy arrays"),
-    (mask_source(broken_inputs.TensorMasks), MASKS, "a list with a Tensor; return a list of numpy arrays"),
+    (mask_source(broken_inputs.NestedLists), MASKS, "a list with a list; return a list of numpy arrays"),
     (mask_source(broken_inputs.NeedsCameras), MASKS, "has no camera"),
     (mask_source(broken_inputs.NeedsPoints), MASKS, "no view of a capture made for it gets a mask"),
     (mask_source(broken_inputs.NoFiles, READS_FILES), MASKS, "files() returns None; return a list of paths"),
