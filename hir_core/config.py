@@ -357,7 +357,10 @@ def _depth(value: Any) -> int:
 
 
 def assign(table: dict[str, Any], assignment: str) -> None:
-    """Applies `a.b.c=value` to a nested table; the value is TOML, a bare word is a string."""
+    """Applies `a.b.c=value` to a nested table; the value is TOML, a bare word is a string.
+
+    A part of the key that contains a dot is quoted, as in TOML: `exporter."simple.obj".digits=6`.
+    """
     key, equals, text = assignment.partition("=")
     if not equals or not key.strip():
         raise ConfigError(f"--set {assignment!r}: write it as key=value, such as geometry.iterations=100")
@@ -365,7 +368,7 @@ def assign(table: dict[str, Any], assignment: str) -> None:
         value = tomllib.loads(f"value = {text.strip()}")["value"]
     except (ValueError, RecursionError):
         value = text.strip()
-    *parents, leaf = [part.strip() for part in key.split(".")]
+    *parents, leaf = _parts_of_key(key, assignment)
     if len(parents) + _depth(value) > MAX_SETTINGS_DEPTH:
         raise ConfigError(f"--set {assignment[:40]!r}…: it is nested deeper than {MAX_SETTINGS_DEPTH} levels")
     for parent in parents:
@@ -375,6 +378,24 @@ def assign(table: dict[str, Any], assignment: str) -> None:
                 f"--set {assignment!r}: {parent!r} was set to a value before, and is used as a table here"
             )
     table[leaf] = value
+
+
+def _parts_of_key(key: str, assignment: str) -> list[str]:
+    """The names in a dotted key of TOML."""
+    if not {'"', "'"} & set(key):
+        return [part.strip() for part in key.split(".")]
+    try:
+        table: Any = tomllib.loads(f"{key} = 0")
+    except (ValueError, RecursionError):
+        raise ConfigError(
+            f"--set {assignment!r}: {key.strip()} is no key; quote the whole name that contains a dot, such as "
+            'exporter."simple.obj".digits=6'
+        ) from None
+    parts = []
+    while isinstance(table, dict) and len(table) == 1:
+        name, table = next(iter(table.items()))
+        parts.append(name)
+    return parts
 
 
 def merge(base: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:

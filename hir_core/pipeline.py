@@ -125,6 +125,7 @@ def reconstruct(
                 seconds = time.perf_counter() - started
                 records.add_report(seconds, processor_seconds() - processor_started)
                 say(f"report: {seconds:.1f} s")
+            records.add_problems()
     return Run(directory, tuple(runner.reused))
 
 

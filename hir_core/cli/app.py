@@ -138,7 +138,11 @@ def _sentence(error: BaseException, code: int, command_line: Sequence[str]) -> s
         return _interruption(command_line)
     if isinstance(error, HirError):
         return f"hir: {on_one_line(str(error))}"
+    from hir_core.plugins.failure_origin import origin_of
+
     reason = on_one_line(f"{type(error).__name__}: {error}")
+    if origin := origin_of(error):
+        return f"hir: {origin} raised {reason}; report it to its author (-v prints the traceback)"
     return f"hir: this is a bug: {reason} (-v prints the traceback)"
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hir_core.terminal.command_options import plugin_option
+from hir_core.terminal.plugin_problems import echo_problems
 
 if TYPE_CHECKING:
     from hir_core.testing import Result
@@ -107,8 +108,7 @@ def check_plugin_command(
     if as_json:
         click.echo(json.dumps({"results": [asdict(r) for r in results], "problems": problems}, indent=1))
     else:
-        for problem in problems:
-            click.echo(f"hir: plugin problem: {problem}", err=True)
+        echo_problems(problems)
         for notice in plugins.notices:
             click.echo(f"hir: plugin notice: {notice}", err=True)
         passed = sum(result.outcome == "passed" for result in results)

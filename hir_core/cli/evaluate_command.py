@@ -10,6 +10,7 @@ import click
 
 from hir_core.errors import InputError
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
+from hir_core.terminal.plugin_problems import echo_problems
 from hir_core.terminal.required_packages import require_reconstruction_packages
 
 
@@ -98,7 +99,9 @@ def evaluate_command(
                 bar.update(Progress(name, done, count, time.perf_counter() - since, message=text))
 
             results.append(evaluate_run(directory, request, plugins, show_progress))
+            known = len(plugins.problems)
             refresh_page(directory, plugins)
+            echo_problems(plugins.problems[known:])
     if as_json:
         click.echo(json.dumps(results[0] if len(results) == 1 else results, indent=1))
     else:

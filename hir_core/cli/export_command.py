@@ -105,7 +105,7 @@ def export_command(
 
     from hir_core.plugins.manager import PluginManager
     from hir_core.run.python_warnings import forward_user_warnings
-    from hir_core.stages.export.asset_export import export_asset
+    from hir_core.stages.export.asset_export import editors_of, export_asset
 
     maps = {"base_color": base_color, "roughness": roughness, "metallic": metallic, "normal": normal}
     plugins = PluginManager.discover(plugin_files)
@@ -145,7 +145,8 @@ def export_command(
 
             click.echo(f"asset: {asset_health(asset).sentence()}")
         for name, report in reports.items():
-            verification = verify_export(report, asset, options.get(name), rerender, why_not, engines)
+            hooks = editors_of(name, plugins)
+            verification = verify_export(report, asset, options.get(name), rerender, why_not, engines, hooks)
             for warning in verification.warnings:
                 click.echo(f"hir: {name}: {warning}", err=True)
             if not quiet:
@@ -180,6 +181,9 @@ def _options(
             raise ConfigError(
                 f"--set {name}={table}: name the format and its option, such as --set glb.max_texture_size=1024"
             )
+        dotted = [r.component.name for r in plugins.components("exporter") if r.component.name.startswith(f"{name}.")]
+        if dotted and name not in {r.component.name for r in plugins.components("exporter")}:
+            raise ConfigError(f"--set {name}…: quote a name that contains a dot: --set '\"{dotted[0]}\".OPTION=VALUE'")
         plugins.find("exporter", name)
         if name not in formats:
             raise ConfigError(

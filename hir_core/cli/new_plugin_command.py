@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hir_core.plugins.manager import KINDS
+from hir_core.plugins.manager import KINDS, PluginManager
 from hir_core.terminal.command_options import FOLDER
 
 
@@ -25,8 +25,9 @@ from hir_core.terminal.command_options import FOLDER
 def new_plugin_command(name: str, kind: str, one_file: bool, output: Path) -> None:
     """Writes an installable plugin NAME of one kind that passes the contract tests."""
     from hir_core.errors import ConfigError
-    from hir_core.scaffold import HOOK_TEMPLATES, write_one_file, write_plugin
+    from hir_core.scaffold import HOOK_TEMPLATES, refuse_taken_name, write_one_file, write_plugin
 
+    refuse_taken_name(name, kind.replace("-", "_"), PluginManager.discover())
     if one_file:
         if kind in HOOK_TEMPLATES:
             raise ConfigError(f"--one-file does not write the kind {kind}; remove --one-file")

@@ -8,6 +8,7 @@ import click
 
 from hir_core.plugins.loading import docs_page
 from hir_core.terminal.command_options import plugin_option
+from hir_core.terminal.plugin_problems import echo_problems
 
 
 @click.command("plugins")
@@ -84,7 +85,6 @@ def plugins_command(name: str, with_docs: bool, as_json: bool, plugin_files: tup
     console.print(f"presets: {', '.join(manager.presets()) or 'none'}")
     console.print(f"observers: {', '.join(manager.observers()) or 'none'}")
     console.print(f"commands: {', '.join(sorted(manager.commands())) or 'none'}")
-    for problem in manager.problems:
-        click.echo(f"hir: plugin problem: {problem}", err=True)
+    echo_problems(manager.problems)
     for notice in manager.notices:
         click.echo(f"hir: plugin notice: {notice}", err=True)

@@ -12,6 +12,7 @@ from hir_core.config import ModelName
 from hir_core.plugins.options import MAX_SEED
 from hir_core.run.run_directory import STAGE_NAMES
 from hir_core.terminal.command_options import FOLDER, plugin_option, settings_options, verbosity_options
+from hir_core.terminal.plugin_problems import echo_problems
 from hir_core.terminal.required_packages import require_reconstruction_packages
 from hir_core.terminal.run_results import show_summary
 
@@ -72,8 +73,7 @@ def reconstruct_command(
     overrides: dict[str, Any] = {"seed": seed, "max_memory": max_memory, "deterministic": deterministic or None}
     require_reconstruction_packages("hir reconstruct")
     plugins = PluginManager.discover(plugin_files)
-    for problem in plugins.problems:
-        click.echo(f"hir: plugin problem: {problem}", err=True)
+    echo_problems(plugins.problems)
     for notice in plugins.notices:
         click.echo(f"hir: plugin notice: {notice}", err=True)
     from hir_core.pipeline import reconstruct

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
+from hir_core.terminal.plugin_problems import echo_problems
 from hir_core.terminal.required_packages import require_reconstruction_packages
 
 
@@ -24,6 +25,8 @@ def report_command(run: Path, plugin_files: tuple[str, ...], quiet: bool, verbos
     plugins = PluginManager.discover(plugin_files)
     from hir_core.report import write_report
 
+    known = len(plugins.problems)
     page = write_report(directory, plugins)
+    echo_problems(plugins.problems[known:])
     if not quiet:
         click.echo(str(page))

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hir_core.capture import Capture
+from hir_core.errors import PluginError
+from hir_core.plugins.registration import a_value
 
 if TYPE_CHECKING:
     from hir_core.plugins.interfaces import MaskSource
@@ -68,6 +70,12 @@ def apply_mask_sources(
             break
         source: MaskSource = plugins.create("mask_source", name, options.get(name), seed)
         found = source.masks(capture, scene)
+        if not isinstance(found, list | tuple) or len(found) != len(capture.views):
+            count = f"of {len(found)} values " if isinstance(found, list | tuple) else ""
+            raise PluginError(
+                f"{plugins.find('mask_source', name).label} returned {a_value(found)} {count}from masks; return a list "
+                f"of numpy arrays, or None, for the {len(capture.views)} views"
+            )
         views = list(capture.views)
         for i in needed:
             mask = found[i]

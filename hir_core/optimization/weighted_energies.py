@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from jaxtyping import Float
 from torch import Tensor
 
+from hir_core.errors import PluginError
 from hir_core.optimization.term_gradients import with_known_gradient
 from hir_core.plugins.interfaces import WeightedTerm
+from hir_core.plugins.registration import a_value
 
 if TYPE_CHECKING:
     from hir_core.plugins.interfaces import Energy, Regularizer
@@ -44,7 +46,7 @@ class Energies:
 def prepare_energies(scene: Scene, regularizers: RegularizerTables, plugins: PluginManager, seed: int = 0) -> Energies:
     """The terms in the settings; `false` or weight 0 leaves a term out. `seed` is the run's."""
     created = _created(regularizers, plugins, seed)
-    return Energies({name: (weight, term.prepare(scene)) for name, weight, term in created})
+    return Energies({name: (weight, _prepared(term, name, scene)) for name, weight, term in created})
 
 
 def solver_terms(
@@ -74,9 +76,18 @@ def _created(
             yield name, weight, plugins.create("regularizer", name, options, seed)
 
 
+def _prepared(term: Regularizer, name: str, scene: Scene) -> Energy:
+    energy = term.prepare(scene)
+    if not callable(energy):
+        raise PluginError(
+            f"the regularizer {name!r} returned {a_value(energy)} from prepare; return a function of the scene"
+        )
+    return energy
+
+
 def _prepare_timed(term: Regularizer, name: str, seconds: dict[str, float], scene: Scene) -> Energy:
     with _timed(seconds, name):
-        energy = term.prepare(scene)
+        energy = _prepared(term, name, scene)
 
     return _TimedNear(energy, name, seconds) if hasattr(energy, "near") else _TimedEnergy(energy, name, seconds)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
@@ -15,12 +16,21 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pluggy
 
-from hir_core.errors import ConfigError, MissingExtraError, PluginError
+from hir_core.errors import ConfigError, HirError, MissingExtraError, PluginError
 from hir_core.plugins import hookspecs
 from hir_core.plugins.component import API_VERSION, Component
 from hir_core.plugins.engine_commands import ENGINE_COMMANDS
 from hir_core.plugins.loading import GROUP, class_of, entry_points, is_installed, module_from_file
 from hir_core.plugins.options import build_options, with_device_of_run, with_seed_of_run
+from hir_core.plugins.registration import (
+    RegistrationError,
+    a_value,
+    check_descriptor,
+    components_of,
+    observer_options,
+    preset_path,
+    table_of,
+)
 
 if TYPE_CHECKING:
     import click
@@ -49,6 +59,11 @@ class Registered:
     version: str
     module: str = ""
     """The module that registered it."""
+
+    @property
+    def label(self) -> str:
+        """`the exporter 'glb' of hir`, for messages."""
+        return f"the {self.kind.replace('_', ' ')} {self.component.name!r} of {self.distribution}"
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -156,20 +171,17 @@ class PluginManager:
         # hookspecs list deprecated arguments (`warn_on_impl_args`); pluggy warns about plugins that use them
         self.notices += [f"{name}: {warning.message}" for warning in caught]
         for kind, hook in KINDS.items():
-            for component in self._call_registration(loaded, hook, name) or ():
-                self._add(kind, component, loaded, name)
-        for observer, options in (self._call_registration(loaded, "hir_register_observers", name) or {}).items():
-            if observer in self._observers:
-                self._conflict(loaded, "observer", observer, self._observers[observer][1])
-            else:
-                self._observers[observer] = (options, distribution)
-                loaded.observers[observer] = options
-        for preset, path in (self._call_registration(loaded, "hir_register_presets", name) or {}).items():
-            if preset in self._presets:
-                self._conflict(loaded, "preset", preset, self._presets[preset][1])
-            else:
-                self._presets[preset] = (Path(path), distribution)
-                loaded.presets[preset] = Path(path)
+            with self._reporting(loaded, name, hook):
+                for component in components_of(hook, self._call_registration(loaded, hook)):
+                    self._add(kind, component, loaded, name)
+        hook = "hir_register_observers"
+        with self._reporting(loaded, name, hook):
+            for observer, value in table_of(hook, self._call_registration(loaded, hook), '"NAME": Options').items():
+                self._add_observer(observer, value, loaded, name)
+        hook = "hir_register_presets"
+        with self._reporting(loaded, name, hook):
+            for preset, value in table_of(hook, self._call_registration(loaded, hook), '"NAME": Path').items():
+                self._add_preset(preset, value, loaded, name)
 
     def with_component(self, registered: Registered) -> PluginManager:
         """A copy in which `registered` replaces the component of its name; hooks are not copied."""
@@ -246,7 +258,7 @@ class PluginManager:
                 group = click.Group()
                 try:
                     _call(hook, {"cli": group})
-                except Exception as error:
+                except (Exception, SystemExit) as error:
                     sentence = f"{hook.plugin_name}: hir_register_commands raised {type(error).__name__}: {error}"
                     self._report(loaded, "is_loaded", sentence)
                 for name, command in group.commands.items():
@@ -277,47 +289,85 @@ class PluginManager:
             for implementation in getattr(self._pluggy.hook, hook).get_hookimpls()
         )
 
+    def names_with(self, hook: str) -> list[str]:
+        """The names of the plugins that implement a hook."""
+        return [i.plugin_name for i in getattr(self._pluggy.hook, hook).get_hookimpls()]
+
     def notify(self, hook: str, **arguments: Any) -> None:
         """Calls an observer hook of every plugin; an exception is recorded once and does not stop the run."""
         for implementation in list(getattr(self._pluggy.hook, hook).get_hookimpls()):
             try:
                 _call(implementation, arguments)
             except Exception as error:
-                problem = f"{implementation.plugin_name}: {hook} raised {type(error).__name__}: {error}"
-                if problem not in self.problems:
-                    self.problems.append(problem)
+                self._report_once(f"{implementation.plugin_name}: {hook} raised {type(error).__name__}: {error}")
 
     def suggest_initializers(self, capture: Capture) -> list[str]:
-        """The first suggestion of a plugin for a capture; empty if there is none."""
+        """The first suggestion of a plugin for a capture; empty if there is none.
+
+        A hook that raises, returns no list of text or names no installed initializer raises `PluginError`: another
+        chain than that of the plugin would be another result.
+        """
+        hook = "hir_suggest_initializers"
         for implementation in reversed(self._pluggy.hook.hir_suggest_initializers.get_hookimpls()):
-            suggestion = _call(implementation, {"capture": capture})
-            if suggestion is not None:
-                return list(suggestion)
+            who = implementation.plugin_name
+            remedy = "mend the plugin, or set `initializers`"
+            try:
+                suggestion = _call(implementation, {"capture": capture})
+            except HirError:
+                raise
+            except Exception as error:
+                raise PluginError(f"{who}: {hook} raised {type(error).__name__}: {error}; {remedy}") from error
+            if suggestion is None:
+                continue
+            if not isinstance(suggestion, list | tuple) or not all(isinstance(name, str) for name in suggestion):
+                raise PluginError(f"{who}: {hook} returned {suggestion!r}; return a list of names of initializers")
+            known = [registered.component.name for registered in self.components("initializer")]
+            unknown = [name for name in suggestion if ("initializer", name) not in self._registered]
+            if unknown:
+                raise PluginError(
+                    f"{who}: {hook} returned {unknown[0]!r}, which is no initializer; installed: {', '.join(known)}"
+                )
+            return list(suggestion)
         return []
 
     def asset_page(self, run_folder: Path) -> str | None:
-        """The first viewer page that a plugin offers for a finished asset, or None."""
+        """The first viewer page that a plugin offers for a finished asset, or None.
+
+        A hook that raises or returns no text is recorded once in `problems`, and the next plugin is asked.
+        """
         for implementation in reversed(self._pluggy.hook.hir_asset_page.get_hookimpls()):
-            page: str | None = _call(implementation, {"run_folder": run_folder})
-            if page is not None:
+            who = f"{implementation.plugin_name}: hir_asset_page"
+            try:
+                page = _call(implementation, {"run_folder": run_folder})
+            except Exception as error:
+                self._report_once(f"{who} raised {type(error).__name__}: {error}")
+                continue
+            if isinstance(page, str):
                 return page
+            if page is not None:
+                self._report_once(f"{who} returned {a_value(page)}; return a page of HTML as text, or None")
         return None
 
-    def edit(self, hook: str, document: Any, asset: Any, argument: str) -> None:
-        """Lets plugins edit a finished document in place; a failure raises, because the document may be half edited."""
+    def edit(self, hook: str, document: Any, asset: Any, argument: str) -> list[str]:
+        """Lets plugins edit a finished document in place; the names of their hooks. A failure raises, because the
+        document may be half edited.
+        """
+        edited: list[str] = []
         for implementation in getattr(self._pluggy.hook, hook).get_hookimpls():
             try:
                 _call(implementation, {argument: document, "asset": asset})
             except Exception as error:
                 who = implementation.plugin_name
                 raise PluginError(f"{who}: {hook} raised {type(error).__name__}: {error}") from error
+            edited.append(f"{hook} of {implementation.plugin_name}")
+        return edited
 
     def _load(self, entry_point: EntryPoint, distribution: str, version: str) -> None:
         try:
             plugin = entry_point.load()
             if inspect.isclass(plugin):  # an observer with state: one instance for each manager
                 plugin = plugin()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             self.loaded.append(LoadedPlugin(distribution, version))
             self._report(
                 self.loaded[-1],
@@ -333,7 +383,7 @@ class PluginManager:
             return
         try:
             module = module_from_file(Path(name)) if name.endswith(".py") else import_module(name)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             self.loaded.append(LoadedPlugin(name, ""))
             sentence = f"plugin {name!r} cannot be imported ({type(error).__name__}: {error})"
             self._report(self.loaded[-1], "is_loaded", sentence)
@@ -346,20 +396,48 @@ class PluginManager:
         loaded.problems.append(PluginProblem(fault, sentence))
         self.problems.append(sentence)
 
+    def _report_once(self, sentence: str) -> None:
+        if sentence not in self.problems:
+            self.problems.append(sentence)
+
     def _conflict(self, loaded: LoadedPlugin, what: str, name: str, owner: str) -> None:
         sentence = f"{what} {name!r} of {loaded.distribution} is ignored: {owner} has one of that name; "
         sentence += "rename one of the two, or remove it"
         self._report(loaded, "names_are_free", sentence)
 
-    def _call_registration(self, loaded: LoadedPlugin, hook: str, name: str) -> Any:
+    def _call_registration(self, loaded: LoadedPlugin, hook: str) -> Any:
         function = getattr(loaded.plugin, hook, None)
         if function is None or self._pluggy.parse_hookimpl_opts(loaded.plugin, hook) is None:
             return None
+        return function()
+
+    @contextmanager
+    def _reporting(self, loaded: LoadedPlugin, name: str, hook: str) -> Iterator[None]:
+        """Reports what the body raises as a problem of the plugin, and goes on after the body."""
         try:
-            return function()
-        except Exception as error:
+            yield
+        except RegistrationError as error:
+            self._report(loaded, "is_loaded", f"{name}: {error}")
+        except (Exception, SystemExit) as error:
             self._report(loaded, "is_loaded", f"{name}: {hook} raised {type(error).__name__}: {error}")
-            return None
+
+    def _add_observer(self, observer: str, value: object, loaded: LoadedPlugin, name: str) -> None:
+        with self._reporting(loaded, name, "hir_register_observers"):
+            options = observer_options(observer, value)
+            if observer in self._observers:
+                self._conflict(loaded, "observer", observer, self._observers[observer][1])
+                return
+            self._observers[observer] = (options, loaded.distribution)
+            loaded.observers[observer] = options
+
+    def _add_preset(self, preset: str, value: object, loaded: LoadedPlugin, name: str) -> None:
+        with self._reporting(loaded, name, "hir_register_presets"):
+            path = preset_path(preset, value)
+            if preset in self._presets:
+                self._conflict(loaded, "preset", preset, self._presets[preset][1])
+                return
+            self._presets[preset] = (path, loaded.distribution)
+            loaded.presets[preset] = path
 
     def _add(self, kind: str, component: Any, loaded: LoadedPlugin, name: str) -> None:
         if not isinstance(component, Component):
@@ -370,6 +448,12 @@ class PluginManager:
         if incompatibility:
             sentence = f"{kind} {component.name!r} of {distribution} {incompatibility}"
             self._report(loaded, "is_made_for_this_interface", sentence)
+            return
+        try:
+            check_descriptor(component)
+        except RegistrationError as error:
+            who = f"{kind.replace('_', ' ')} {component.name!r}"
+            self._report(loaded, "is_loaded", f"{name}: the {who} is not registered: {error}")
             return
         other = self._registered.get((kind, component.name))
         if other is not None:

@@ -73,6 +73,11 @@ class RunRecords:
         self._timings["report"] = {"seconds": round(seconds, 3), "processor_seconds": round(processor_seconds, 3)}
         self._write()
 
+    def add_problems(self) -> None:
+        """Records the problems of plugins that came up after the latest record, such as in the report."""
+        if len(self._plugins.problems) > len(self._document["plugin_problems"]):
+            self._write()
+
     def _earlier_metrics(self) -> dict[str, Any]:
         """What `hir evaluate` measured of an earlier result; it holds until a stage is computed again."""
         if not (self._directory.path / "run.json").exists():

@@ -14,7 +14,8 @@ from hir_exporters.files.atomic import atomic_directory, write_text_atomic
 
 from hir_core.errors import ConfigError
 from hir_core.plugins import API_VERSION
-from hir_core.plugins.manager import KINDS
+from hir_core.plugins.engine_commands import ENGINE_COMMANDS
+from hir_core.plugins.manager import KINDS, PluginManager
 from hir_core.scaffold.one_file import joined
 
 
@@ -131,6 +132,23 @@ def write_one_file(name: str, kind: str, folder: Path) -> tuple[Path, str]:
     text = joined(own.sub("", implementation), options, own.sub("", descriptor), values["summary"])
     write_text_atomic(path, text)
     return path, f"{values['use']} --plugin {path}"
+
+
+def refuse_taken_name(name: str, kind: str, plugins: PluginManager) -> None:
+    """`ConfigError` where `hir` or an installed plugin has a component, an observer or a command of this name."""
+    values = _template_values(name, kind)
+    if kind == "command":
+        owners = {**plugins.commands(), **ENGINE_COMMANDS}
+        owner = "an installed command" if values["command"] in owners else ""
+    elif kind == "observer":
+        owner = "an installed observer" if values["name"] in plugins.observers() else ""
+    else:
+        owner = next((r.label for r in plugins.components(kind) if r.component.name == values["name"]), "")
+    if owner:
+        raise ConfigError(
+            f"the name {values['name']!r} is taken by {owner}, which would be used in place of the new one; choose "
+            "another"
+        )
 
 
 def _template_values(name: str, kind: str, one_file: bool = False) -> dict[str, str]:

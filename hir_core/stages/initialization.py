@@ -23,6 +23,7 @@ from hir_core.scene import Mesh, Scene
 from hir_core.scene.frames import move_scene, unit_similarity
 from hir_core.scene.scan import Scan
 from hir_core.stages.held_out_views import MIN_VIEWS, model_selection_folds
+from hir_core.stages.initializer_result import checked_report, checked_result, checked_scan
 
 MAX_DISTANCE_FROM_ORIGIN = 1e4
 """Largest distance of the cameras from the origin, in their own extent: float32 is then exact to 6e-4 of the extent."""
@@ -89,13 +90,14 @@ def initialize(
         initializer: Initializer = context.plugins.create(
             "initializer", name, config.initializer.get(name), context.seed, context.device
         )
+        owner = context.plugins.find("initializer", name).label
         workspace = context.workspace / f"{i + 1}-{name}"
         workspace.mkdir(parents=True, exist_ok=True)
         with forward_warnings(context):
-            capture, scene = initializer.initialize(capture, scene, workspace)
-        if own_report := initializer.report():
-            details[name] = dict(own_report)
-        if own_scan := initializer.scan():
+            capture, scene = checked_result(initializer.initialize(capture, scene, workspace), owner)
+        if own_report := checked_report(initializer, owner):
+            details[name] = own_report
+        if own_scan := checked_scan(initializer, owner):
             scan, scanned = own_scan, None if scene is None else scene.mesh
         capture = _registered_only(capture, context)
         _check_distance_from_origin(capture)

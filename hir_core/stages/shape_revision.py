@@ -18,6 +18,7 @@ from hir_core.plugins.progress import Progress
 from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.stages.atlas import unwrap
 from hir_core.stages.geometry.geometry_fit import fit_geometry
+from hir_core.stages.initializer_result import checked_report, checked_result
 from hir_core.stages.reflectance.reflectance_fit import FittedReflectance, fit_reflectance
 from hir_core.stages.reflectance.reflectance_report import RevisionReport
 from hir_core.stages.reflectance.selection.held_out_comparison import is_within_noise, paired_gain
@@ -105,11 +106,12 @@ def _revised(
         initializer: Initializer = context.plugins.create(
             "initializer", name, config.initializer.get(name), context.seed, context.device
         )
+        owner = context.plugins.find("initializer", name).label
         workspace = context.workspace / f"revision-{name}"
         workspace.mkdir(parents=True, exist_ok=True)
         with forward_warnings(context):
-            _, found = initializer.initialize(exposed, fitted.scene, workspace)
-        details[name] = dict(initializer.report())
+            _, found = checked_result(initializer.initialize(exposed, fitted.scene, workspace), owner)
+        details[name] = checked_report(initializer, owner)
         if found is not None and found.mesh is not fitted.scene.mesh:
             return _RevisedMesh(replace(fitted.scene, mesh=found.mesh), details, True)
     return _RevisedMesh(fitted.scene, details, False)

@@ -11,8 +11,9 @@ from hir_exporters.errors import ExportError, HirError
 from hir_exporters.exporter import Edit, Exporter, ExportReport, shared_names
 from hir_exporters.files.atomic import move_atomic, staging_folder
 
-from hir_core.errors import ConfigError
+from hir_core.errors import ConfigError, PluginError
 from hir_core.files.file_names import file_stem
+from hir_core.plugins.registration import a_value
 
 if TYPE_CHECKING:
     from hir_exporters.asset import Asset
@@ -58,7 +59,7 @@ def export_asset(
         for name, (registered, exporter) in exporters.items():
             destination = staging / name / f"{file_stem(asset.name)}.{name}"
             try:
-                report = exporter.write(asset, destination, _edit(registered, plugins))
+                report = _written(registered, exporter, asset, destination, plugins)
                 _keep_inputs(destination.parent, folder, inputs)
                 reports[name] = _publish(report, name, destination.parent, folder, writers, earlier)
             except HirError as error:
@@ -68,6 +69,27 @@ def export_asset(
             if on_file is not None:
                 on_file(name, reports[name])
     return reports
+
+
+def _written(
+    registered: Registered, exporter: Exporter, asset: Asset, destination: Path, plugins: PluginManager
+) -> ExportReport:
+    """What `write` returns. `PluginError` where it returns no report, or fails on a document that a plugin changed."""
+    edited: list[str] = []
+    try:
+        report = exporter.write(asset, destination, _edit(registered, plugins, edited))
+    except HirError:
+        raise
+    except Exception as error:
+        if not edited:
+            raise
+        raise PluginError(
+            f"{registered.label} raised {type(error).__name__}: {error} after its document was edited by "
+            f"{', '.join(edited)}; mend or remove that plugin"
+        ) from error
+    if not isinstance(report, ExportReport):
+        raise PluginError(f"{registered.label} returned {a_value(report)} from write; return an ExportReport")
+    return report
 
 
 def _publish(
@@ -117,8 +139,16 @@ def _differs(existing: Path, new: Path) -> bool:
     return existing.is_file() and existing.read_bytes() != new.read_bytes()
 
 
-def _edit(registered: Registered, plugins: PluginManager) -> Edit | None:
+def editors_of(name: str, plugins: PluginManager) -> list[str]:
+    """The hooks that edit documents of a format, each with its plugin."""
+    traits = plugins.find("exporter", name).component.traits
+    hooks = [hook for trait, (hook, _) in EDIT_HOOKS.items() if trait in traits]
+    return [f"{hook} of {plugin}" for hook in hooks for plugin in plugins.names_with(hook)]
+
+
+def _edit(registered: Registered, plugins: PluginManager, edited: list[str]) -> Edit | None:
+    """The hooks that edit the exporter's document; `edited` gets the hook and the plugin of each that did."""
     for trait, (hook, argument) in EDIT_HOOKS.items():
         if trait in registered.component.traits:
-            return lambda document, asset: plugins.edit(hook, document, asset, argument)
+            return lambda document, asset: edited.extend(plugins.edit(hook, document, asset, argument))
     return None

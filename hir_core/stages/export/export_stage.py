@@ -12,7 +12,7 @@ from hir_exporters.files.atomic import atomic_directory
 
 from hir_core.run.capture_store import read_cameras
 from hir_core.run.stage_context import StageContext
-from hir_core.stages.export.asset_export import export_asset
+from hir_core.stages.export.asset_export import editors_of, export_asset
 from hir_core.stages.export.export_rerendering import Rerender
 from hir_core.stages.export.export_verification import verify_export
 
@@ -58,7 +58,8 @@ def export_stage(state: RunState, context: StageContext) -> ExportStageReport:
         reports = export_asset(asset, formats, folder, plugins, config.exporter) if formats else {}
         rerender, engines = _rerender(state), EngineComparison(asset)
         for name, report in reports.items():
-            verified[name] = verify_export(report, asset, config.exporter.get(name), rerender, "no light", engines)
+            options, hooks = config.exporter.get(name), editors_of(name, plugins)
+            verified[name] = verify_export(report, asset, options, rerender, "no light", engines, hooks)
     for name, report in reports.items():
         for warning in (*report.warnings, *verified[name].warnings):
             context.warn(f"{name}: {warning}")

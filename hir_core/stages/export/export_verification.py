@@ -6,7 +6,7 @@ Reading back needs no heavy package. Rendering needs the packages of `hir[recons
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -71,11 +71,13 @@ def verify_export(
     rerender: Rerender | None = None,
     why_not: str = "",
     engines: EngineComparison | None = None,
+    edited_by: Sequence[str] = (),
 ) -> ExportVerification:
     """Reads the first file of an export back, compares it with the asset, and renders it with `rerender`.
 
     `options` are those that the format was written with; `why_not` is the reason where nothing is rendered. `engines`
-    is the comparison with this asset that several formats share; without it a new one is made.
+    is the comparison with this asset that several formats share; without it a new one is made. `edited_by` names the
+    hooks of plugins that edited the document of the file.
     """
     path = written.files[0]
     try:
@@ -86,7 +88,8 @@ def verify_export(
         comparison = EngineComparison(asset) if engines is None else engines
         return _surface(written, path, asset, dict(options or {}), rerender, why_not, comparison)
     except HirError as error:
-        return ExportVerification({"not_read": str(error)}, (f"the written file cannot be read back: {error}",))
+        hooks = f" (its document was edited by {', '.join(edited_by)})" if edited_by else ""
+        return ExportVerification({"not_read": str(error)}, (f"the written file cannot be read back: {error}{hooks}",))
 
 
 def _light(path: Path, asset: Asset) -> ExportVerification:

@@ -9,16 +9,18 @@ import re
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
-from hir_core.capture import Capture, View
+from hir_core.capture import Capture, Pixels, View
 from hir_core.errors import HirError
 from hir_core.plugins.interfaces import CaptureReader
+from hir_core.plugins.registration import a_value
 from hir_core.testing.captures import TinyCapture, similarity_between, surface_points, tiny_capture
 from hir_core.testing.contract import Subject, contract, require
-from hir_core.testing.exercise import Exercise
+from hir_core.testing.exercise import Exercise, digest
 from hir_core.testing.opened_paths import opened_paths
 
 FOLDERS_OF_PICTURES = 3
@@ -71,27 +73,74 @@ def reader_has_no_options(subject: Subject) -> None:
 
 @contract("capture_reader")
 def knows_its_own_format(subject: Subject) -> None:
-    """`matches` says yes to its own format and no to an empty folder, a folder of text and a path that is not there;
-    `splits` names "train"; a split that is not there is a `CaptureError`.
+    """`matches` says yes to its own format and no to an empty folder, a folder of text, a path that is not there, and,
+    unless it declares `without_cameras`, to a folder of photographs alone and to captures of the built-in formats that
+    have cameras. `splits` names "train", and each other split that it names has other views; a split that is not there
+    is a `CaptureError`.
     """
     _, path = _written(subject)
     reader: CaptureReader = subject.create()
     require(reader.matches(path), "matches() says no to a capture of its own format")
     strange = subject.folder()
     (strange / "notes.txt").write_text("nothing to see\n", encoding="utf-8")
-    for name, other in (
-        ("an empty folder", subject.folder()),
-        ("a folder of text", strange),
-        ("a path that is not there", strange / "missing"),
-    ):
+    foreign = {
+        "an empty folder": subject.folder(),
+        "a folder of text": strange,
+        "a path that is not there": strange / "missing",
+        **({} if subject.has("without_cameras") else _of_other_formats(subject)),
+    }
+    for name, other in foreign.items():
         try:
             answer = reader.matches(other)
         except Exception as error:
             answer = None
             require(False, f"matches() of {name} raises {type(error).__name__}: {error}")
-        require(not answer, f"matches() says yes to {name}")
-    require("train" in reader.splits(path), f"splits() is {reader.splits(path)}; it must hold 'train'")
+        require(not answer, f"matches() says yes to {name}; look for the file that only this format has")
+    _require_splits_of_other_views(reader, path)
     _raises(lambda: reader.read(path, "no_such_split"), "a split that is not there")
+
+
+def _of_other_formats(subject: Subject) -> dict[str, Path]:
+    """Folders that other readers read: photographs alone, and a capture of each built-in format with cameras."""
+    truth = tiny_capture(subject.folder(), views=3, size=24)
+    folders = {"a folder of photographs": truth.folder / "images", "a folder with photographs in images/": truth.folder}
+    for registered in subject.plugins.components("capture_reader"):
+        component = registered.component
+        built_in = registered.distribution == "hir" and "without_cameras" not in component.traits
+        if not built_in or component.name == subject.name or registered.missing or not component.testing:
+            continue
+        if subject.component.testing == component.testing:
+            continue  # the same format, read by another reader
+        module, _, function = component.testing.partition(":")
+        folders[f"a capture of the format {component.name}"] = Path(
+            getattr(import_module(module), function)(truth.capture, subject.folder())
+        )
+    return folders
+
+
+def _require_splits_of_other_views(reader: CaptureReader, path: Path) -> None:
+    splits = reader.splits(path)
+    require(isinstance(splits, list) and "train" in splits, f"splits() is {splits}; it must be a list with 'train'")
+    pictures = {split: {digest(view.pixels().color_linear) for view in _read(reader, path, split)} for split in splits}
+    for split in splits:
+        require(pictures[split], f"the split {split!r} that splits() names has no view; leave it out")
+        shared = len(pictures[split] & pictures["train"]) if split != "train" else 0
+        require(
+            not shared,
+            f"the split {split!r} has {shared} of the photographs of 'train'; read(path, {split!r}) must return other "
+            "views, or splits() must leave it out",
+        )
+
+
+def _read(reader: CaptureReader, path: Path, split: str = "train") -> tuple[View, ...]:
+    """The views of a split; `BrokenContract` where `read` returns another type."""
+    capture = reader.read(path, split)
+    require(isinstance(capture, Capture), f"read() returns {a_value(capture)}; return a Capture")
+    require(
+        isinstance(capture.views, tuple),
+        f"the capture's views are {a_value(capture.views)}, which could change later; write tuple(views)",
+    )
+    return capture.views
 
 
 @contract("capture_reader")
@@ -151,7 +200,8 @@ def source_axes_are_recorded(subject: Subject) -> None:
 @contract("capture_reader")
 def pixels_are_linear(subject: Subject) -> None:
     """Pixels come back scene-linear (8-bit sRGB is decoded), to half a step of 8 bits; masks are the coverage where the
-    format has them; `View.read` can be pickled.
+    format has them; `View.read` can be pickled. Colours and masks are float32; `saturated` is an array of bool
+    (height, width) that is true where the photograph is clipped alone; a camera has the size of its picture.
     """
     from hir_exporters.conventions import linear_to_srgb
 
@@ -159,6 +209,7 @@ def pixels_are_linear(subject: Subject) -> None:
     capture = subject.create().read(path)
     for view, known in _paired(truth, capture):
         pixels, true = view.pixels(), known.pixels()
+        _require_types_and_sizes(view)
         require(
             pixels.color_linear.shape == true.color_linear.shape,
             f"view {view.name} is {pixels.color_linear.shape}, its picture {true.color_linear.shape}",
@@ -174,6 +225,40 @@ def pixels_are_linear(subject: Subject) -> None:
             difference = float(np.abs(pixels.mask - true.mask).max())
             require(difference < 0.6 / 255 + 1e-6, f"the mask of view {view.name} is off by {difference:.3g}")
         pickle.dumps(view.read)
+
+
+def _require_types_and_sizes(view: View) -> None:
+    pixels = view.read()
+    require(isinstance(pixels, Pixels), f"`View.read` of view {view.name} returns {a_value(pixels)}; return Pixels")
+    height, width = pixels.color_linear.shape[:2]
+    for name, values in (("colours", pixels.color_linear), ("mask", pixels.mask)):
+        if values is not None:
+            require(
+                values.dtype == np.float32,
+                f"the {name} of view {view.name}: {values.dtype}, not float32; write .astype(np.float32)",
+            )
+    saturated: object = pixels.saturated
+    require(
+        isinstance(saturated, np.ndarray) and saturated.dtype == bool and saturated.shape == (height, width),
+        f"`saturated` of view {view.name} is {_array_or_value(saturated)}; it must be an array of bool "
+        f"({height}, {width}): np.zeros(color.shape[:2], bool) where nothing is known",
+    )
+    share, brightest = float(np.mean(pixels.saturated)), float(pixels.color_linear.max())
+    require(
+        share == 0 or brightest > 0.9,
+        f"`saturated` of view {view.name} is true for {100 * share:.0f} % of a photograph whose brightest value is "
+        f"{brightest:.2f}; it is true where the sensor clipped",
+    )
+    camera = view.camera
+    require(
+        camera is None or (camera.width, camera.height) == (width, height),
+        f"the camera of view {view.name} is for {camera.width if camera else 0} × {camera.height if camera else 0} "
+        f"pixels, its picture has {width} × {height}; Camera(intrinsics, world_to_camera, width, height)",
+    )
+
+
+def _array_or_value(value: object) -> str:
+    return f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else a_value(value)
 
 
 @contract("capture_reader")
@@ -348,6 +433,7 @@ def _raises(call: Callable[[], object], what: str) -> None:
 
 def _paired(truth: TinyCapture, capture: Capture) -> list[tuple[View, View]]:
     """Views with the true ones: by name where the format keeps names, else in the order of names."""
+    require(isinstance(capture, Capture), f"read() returns {a_value(capture)}; return a Capture")
     names = [view.name for view in capture.views]
     require(len(set(names)) == len(names), f"names of views repeat: {', '.join(names)}")
     require(

@@ -19,7 +19,7 @@ from hir_core.errors import PluginError
 from hir_core.plugins.loading import docs_page
 from hir_core.plugins.options import build_options, options_schema
 from hir_core.plugins.traits import TRAITS
-from hir_core.testing.contract import INTERFACES, NotApplicable, Subject, contract, require
+from hir_core.testing.contract import INTERFACES, BrokenContract, NotApplicable, Subject, contract, require
 
 HEAVY: Final = ("torch", "mitsuba", "drjit", "open3d", "pycolmap", "xatlas", "cv2", "skimage", "matplotlib", "pxr")
 """Packages that take a good part of a second to import."""
@@ -43,7 +43,12 @@ best of some tries. `CLOCK` does not count, where Linux tells it, how long the p
 def implements_its_interface(subject: Subject) -> None:
     """`target` names a class that is a subclass of its kind's base class and implements all of its methods."""
     base = INTERFACES[subject.kind]
-    found = subject.implementation
+    try:
+        found = subject.implementation
+    except (ImportError, AttributeError) as error:
+        raise BrokenContract(
+            f"target={subject.component.target!r} cannot be imported: {error}; target is 'module:Class'"
+        ) from error
     require(inspect.isclass(found), f"{subject.component.target!r} is {found!r}, not a class")
     require(issubclass(found, base), f"{found.__name__} is not a subclass of {base.__module__}.{base.__name__}")
     missing = sorted(getattr(found, "__abstractmethods__", ()))

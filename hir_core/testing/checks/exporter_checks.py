@@ -13,9 +13,11 @@ from hir_exporters.asset import Asset
 from hir_exporters.errors import ExportError, HirError, InputError
 from hir_exporters.exporter import ExportReport
 
+from hir_core.plugins.registration import a_value
 from hir_core.testing.assets import constant_asset, textured_asset
 from hir_core.testing.contract import BrokenContract, NotApplicable, Subject, contract, require
 from hir_core.testing.exercise import digest
+from hir_core.testing.obj_files import ObjFile, read_obj
 
 SURFACES = (".obj", ".ply", ".stl", ".off")
 LIGHTS = (".hdr", ".exr")
@@ -27,7 +29,11 @@ def _assets(subject: Subject) -> list[Asset]:
 
 
 def _write(subject: Subject, asset: Asset, folder: Path) -> ExportReport:
-    report: ExportReport = subject.create().write(asset, folder / f"a ball.{subject.component.name}")
+    report: object = subject.create().write(asset, folder / f"a ball.{subject.component.name}")
+    if not isinstance(report, ExportReport):
+        raise BrokenContract(f"write returns {a_value(report)}; return an ExportReport")
+    if isinstance(report.warnings, str):
+        raise BrokenContract("the warnings of its report are text; write a tuple of sentences: warnings=(sentence,)")
     return report
 
 
@@ -97,14 +103,17 @@ def same_bytes_twice(subject: Subject) -> None:
 @contract("exporter")
 def reads_back(subject: Subject) -> None:
     """An independent reader finds the asset in the file: trimesh, pygltflib and pxr by the file's ending, or the
-    plugin's `testing` function, `function(path) -> (positions (V, 3), faces (F, 3))`.
+    plugin's `testing` function, `function(path) -> (positions (V, 3), faces (F, 3))`. Texture coordinates and normals
+    in an .obj file are those of the asset, with v upwards, and the files that it and its materials name are there.
     """
     for asset in _assets(subject):
         path = _write(subject, asset, subject.folder()).files[0]
         if subject.testing is not None:
             _same_surface(asset, *subject.testing(path))
-        else:
-            _read_by_ending(path, asset)
+            continue
+        _read_by_ending(path, asset)
+        if path.suffix.lower() == ".obj":
+            _same_corners(asset, read_obj(path))
 
 
 def _read_by_ending(path: Path, asset: Asset) -> None:
@@ -152,6 +161,37 @@ def _same_surface(asset: Asset, positions: np.ndarray, faces: np.ndarray) -> Non
         difference < 1e-4,
         f"a corner is {difference:.3g} from where it was: other axes, or fewer digits; +Y is up, right-handed",
     )
+
+
+def _same_corners(asset: Asset, file: ObjFile) -> None:
+    """Texture coordinates and normals of the file at the corners of the asset's triangles, where it has them."""
+    require(not file.missing, f"it names {', '.join(file.missing)}, which it does not write")
+    mesh = asset.mesh
+    truth: dict[str, Any] = {"texture coordinates": mesh.uvs * [1, -1] + [0, 1], "normals": mesh.normals}
+    advice = {
+        "texture coordinates": "v of an asset points down, v of the format up: write 1 - v",
+        "normals": "they point outwards and have the length 1",
+    }
+    keys = _corner_keys(np.asarray(mesh.positions, np.float64)[mesh.faces])
+    found_keys = _corner_keys(file.positions)
+    for name, found in (("texture coordinates", file.uvs), ("normals", file.normals)):
+        if found is None:
+            continue
+        expected: dict[tuple[float, ...], list[np.ndarray]] = {}
+        for key, value in zip(keys, truth[name][mesh.faces].reshape(len(keys), -1), strict=True):
+            expected.setdefault(key, []).append(value)
+        off = max(
+            min((float(np.abs(value - one).max()) for one in expected.get(key, [])), default=0.0)
+            for key, value in zip(found_keys, found.reshape(len(found_keys), -1), strict=True)
+        )
+        require(off < 1e-3, f"{name} of a corner are off by {off:.3g}; {advice[name]}")
+
+
+def _corner_keys(corners: np.ndarray) -> list[tuple[float, ...]]:
+    """The positions (F, 3, 3) of corners and of their triangles' centres, as keys."""
+    centres = np.repeat(corners.mean(axis=1, keepdims=True), 3, axis=1)
+    rounded = np.round(np.concatenate([corners, centres], axis=2).reshape(-1, 6), 3) + 0.0
+    return [tuple(row) for row in rounded.tolist()]
 
 
 def _triangles(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import permutations, product
 from typing import TYPE_CHECKING, Any
@@ -16,8 +18,9 @@ from hir_core.testing.captures import (
     surface_mesh,
     tiny_capture,
 )
-from hir_core.testing.contract import Subject, contract, require
+from hir_core.testing.contract import BrokenContract, Subject, contract, require
 from hir_core.testing.exercise import Exercise, seeded
+from hir_core.testing.files_read import require_files
 
 if TYPE_CHECKING:
     from hir_core.capture import Capture
@@ -73,7 +76,9 @@ def exercise(subject: Subject, device: str) -> Exercise:
 @contract("initializer", first=True, slow=True)
 def returns_capture_and_scene(subject: Subject) -> None:
     """`initialize` returns a pair: the capture, and a `Scene` or None. The mesh of the scene has vertices (V, 3) as
-    tensors of float32 and triangles (F, 3) of int64.
+    tensors of float32 and triangles (F, 3) of int64, which name vertices that are there; a closed mesh encloses a
+    positive volume. `report` returns entries for a JSON document, `scan` a `Scan` or None, and with the trait
+    `reads_files` `files` lists files that are there.
     """
     import torch
 
@@ -86,6 +91,9 @@ def returns_capture_and_scene(subject: Subject) -> None:
         given = input_capture, _given_scene(subject)
         subject.memory["initialized"] = initializer.initialize(*given, subject.folder())
     returned = subject.memory["initialized"]
+    _require_report_and_scan(initializer)
+    if subject.has("reads_files"):
+        require_files(initializer.files(input_capture))
     require(
         isinstance(returned, tuple) and len(returned) == 2,
         f"initialize returns {_named(returned)}; return the capture and the scene: return capture, scene",
@@ -114,6 +122,42 @@ def returns_capture_and_scene(subject: Subject) -> None:
             tensor.dtype == wanted,
             f"the mesh's {name} are {tensor.dtype}, not {wanted}; write {name}.to({wanted}), because all that follows "
             "computes with these types",
+        )
+
+    _require_sound_triangles(scene)
+
+
+def _require_report_and_scan(initializer: Initializer) -> None:
+    from hir_core.scene.scan import Scan
+
+    report, scan = initializer.report(), initializer.scan()
+    require(isinstance(report, Mapping), f"report() returns {_named(report)}; return a dict, empty without entries")
+    try:
+        json.dumps(dict(report), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise BrokenContract(
+            f"report() cannot be written as JSON: {error}; return numbers, text, lists and dicts of Python"
+        ) from error
+    require(scan is None or isinstance(scan, Scan), f"scan() returns {_named(scan)}; return a Scan or None")
+
+
+def _require_sound_triangles(scene: Scene) -> None:
+    positions, faces = scene.mesh.positions.detach().double().cpu().numpy(), scene.mesh.faces.cpu().numpy()
+    require(len(faces) > 0, "the mesh has no triangles; return None where no surface is made")
+    require(
+        faces.min() >= 0 and faces.max() < len(positions),
+        f"triangles name the vertices {faces.min()} … {faces.max()}, the mesh has {len(positions)}; the first is 0",
+    )
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    keys = edges[:, 0] * len(positions) + edges[:, 1]
+    reversed_keys = edges[:, 1] * len(positions) + edges[:, 0]
+    if np.array_equal(np.sort(keys), np.sort(reversed_keys)):
+        a, b, c = positions[faces.T]
+        volume = float((a * np.cross(b, c)).sum() / 6)
+        require(
+            volume >= 0,
+            f"the closed mesh encloses a volume of {volume:.3g}: its triangles face inwards; counter-clockwise is "
+            "outside, write faces.flip(1)",
         )
 
 

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hir_core.errors import HirError
+from hir_core.plugins.registration import a_value
 from hir_core.testing.captures import StoredPixels, TinyCapture, surface_mesh, tiny_capture
-from hir_core.testing.contract import Subject, contract, require
+from hir_core.testing.contract import BrokenContract, Subject, contract, require
 from hir_core.testing.exercise import Exercise, seeded
+from hir_core.testing.files_read import require_files
 
 if TYPE_CHECKING:
     from hir_core.capture import Capture, View
@@ -19,12 +21,15 @@ if TYPE_CHECKING:
 
 
 def _case(subject: Subject) -> tuple[TinyCapture, Capture, Scene | None, MaskSource]:
-    """The truth; opaque photographs with cameras and points, or what `testing` makes of them; the mesh where the source
-    needs it; the source.
+    """The truth; opaque photographs, with cameras and points where the source needs them, or what `testing` makes of
+    them; the mesh where the source needs it; the source.
     """
     if "case" not in subject.memory:
         truth = tiny_capture(subject.folder(), views=8, size=96)
         input_capture, options = truth.without_masks(), dict[str, Any]()
+        if not {"needs_cameras", "needs_mesh"} & subject.component.traits:
+            views = tuple(replace(view, camera=None) for view in input_capture.views)
+            input_capture = replace(input_capture, views=views, points=None)
         if subject.testing is not None:
             input_capture, options = subject.testing(truth, input_capture, subject.folder())
         subject.memory["case"] = truth, input_capture, options
@@ -48,15 +53,24 @@ def exercise(subject: Subject, device: str) -> Exercise:
 @contract("mask_source")
 def masks_are_the_true_ones(subject: Subject) -> None:
     """One mask (height, width) of float32 in 0…1 for each view, or None; those that it gives overlap the true coverage
-    by an IoU of at least 0.9, and it gives at least one.
+    by an IoU of at least 0.9, and it gives at least one. Without the traits `needs_cameras` and `needs_mesh` the
+    capture has neither cameras nor points; with the trait `reads_files`, `files` lists files that are there.
     """
     truth, input_capture, scene, source = _case(subject)
     seeded(0)
-    masks = source.masks(input_capture, scene)
+    masks: object = source.masks(input_capture, scene)
+    if not isinstance(masks, list):
+        raise BrokenContract(
+            f"masks returns {a_value(masks)}; return a list of numpy arrays, one for each view, or None"
+        )
     require(
-        isinstance(masks, list) and len(masks) == len(input_capture.views),
-        f"{len(input_capture.views)} views get {len(masks) if isinstance(masks, list) else type(masks).__name__} masks",
+        len(masks) == len(input_capture.views),
+        f"{len(input_capture.views)} views get {len(masks)} masks; return one for each view, or None",
     )
+    other = next((mask for mask in masks if mask is not None and not isinstance(mask, np.ndarray)), None)
+    require(other is None, f"masks returns a list with {a_value(other)}; return a list of numpy arrays, or None")
+    if subject.has("reads_files"):
+        require_files(source.files(input_capture))
     require(any(mask is not None for mask in masks), "no view of a capture made for it gets a mask")
     for view, mask, true in zip(input_capture.views, masks, truth.masks, strict=True):
         if mask is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hir_core.errors import StageError
-from hir_core.testing.contract import Subject, contract, require
+from hir_core.plugins.registration import a_value
+from hir_core.testing.contract import BrokenContract, Subject, contract, require
 from hir_core.testing.exercise import Exercise, seeded
 
 if TYPE_CHECKING:
@@ -68,6 +70,19 @@ def _value_and_gradients(subject: Subject, start: Scene, at: Scene) -> tuple[Ten
     return value.detach(), {name: g for name, g in zip(tracked, found, strict=True) if g is not None}
 
 
+def _require_function_of_the_scene(energy: object, scene: Scene) -> None:
+    require(callable(energy), f"prepare returns {a_value(energy)}; return a function of the scene")
+    assert callable(energy)
+    try:
+        inspect.signature(energy).bind(scene)
+    except TypeError as error:
+        raise BrokenContract(
+            f"the function that prepare returns cannot be called with the scene alone: {error}; write def energy(scene)"
+        ) from error
+    except ValueError:
+        return  # of a callable that is written in C
+
+
 @contract("regularizer", first=True)
 def term_is_a_finite_scalar(subject: Subject) -> None:
     """The term is a tensor without dimensions, finite, and at least 0 unless the trait `signed` is declared."""
@@ -77,7 +92,9 @@ def term_is_a_finite_scalar(subject: Subject) -> None:
 
     for seed in range(4):
         scene = bumpy_scene(seed=seed)
-        value = subject.create().prepare(scene)(_moved(scene, seed + 10))
+        energy = subject.create().prepare(scene)
+        _require_function_of_the_scene(energy, scene)
+        value = energy(_moved(scene, seed + 10))
         require(isinstance(value, torch.Tensor), f"the term is {type(value).__name__}, not a tensor")
         require(value.ndim == 0, f"the term has the shape {tuple(value.shape)}; sum or average it to one number")
         require(
@@ -247,10 +264,11 @@ def _transformed(subject: Subject, scale: float) -> Iterator[tuple[float, str, f
 @contract("regularizer")
 def smallest_on_its_ideal(subject: Subject) -> None:
     """On the scene that it documents as its ideal (`testing="module:function"`, `function(scene) -> scene`) the term
-    is not larger than on any scene near it.
+    is not larger than on any scene near it, and its gradient is finite.
     """
     import torch
 
+    from hir_core.scene import Scene
     from hir_core.testing.scenes import bumpy_scene
 
     require(
@@ -260,6 +278,7 @@ def smallest_on_its_ideal(subject: Subject) -> None:
     )
     assert subject.testing is not None
     ideal: Scene = subject.testing(bumpy_scene(torch.float64))
+    require(isinstance(ideal, Scene), f"testing returns {a_value(ideal)}; return the scene that the term likes best")
     energy = subject.create().prepare(ideal)
     seeded(0)
     least = float(energy(ideal))
@@ -299,6 +318,13 @@ def _near(subject: Subject, ideal: Scene, energy: Callable[[Scene], Tensor]) -> 
     slopes: dict[str, Tensor] = {}
     if subject.has("differentiable") and not subject.has("stop_gradient"):
         slopes = _value_and_gradients(subject, ideal, ideal)[1]
+    for name, slope in slopes.items():
+        bad = int((~torch.isfinite(slope)).sum())
+        require(
+            bad == 0,
+            f"on its ideal {bad} values of the gradient by {name} are not finite, so that a fit that comes near it "
+            "fails; a root, a norm or a division at 0 gives this: add a small number inside of the root, or clamp",
+        )
     for size in (1e-3, 1e-2, 1e-1):
         noisy = {}
         for name, leaf in start.items():
@@ -311,7 +337,7 @@ def _near(subject: Subject, ideal: Scene, energy: Callable[[Scene], Tensor]) -> 
                 yield f"{name} changed by {sign * size:+g} everywhere", with_leaves(ideal, {**start, name: moved})
         for name, slope in slopes.items():
             longest = slope.abs().max()
-            if torch.isfinite(longest) and longest > 0:
+            if longest > 0:
                 moved = allowed(name, start[name] - size * slope / longest)
                 yield f"{name} moved down its gradient by {size:g}", with_leaves(ideal, {**start, name: moved})
 

@@ -349,7 +349,7 @@ def test_a_second_preset_or_observer_of_a_name_is_reported_and_ignored(tmp_path:
 
         @hookimpl
         def hir_register_observers(self) -> dict[str, object]:
-            return {"notes": None}
+            return {"notes": Options}
 
     plugins = PluginManager()
     for distribution in ("first", "second"):
@@ -373,6 +373,7 @@ def test_the_suggestion_of_the_latest_plugin_that_has_one_wins() -> None:
     assert plugins.suggest_initializers(None) == []
     for number, words in enumerate((["mesh_file"], ["colmap"], None)):
         plugins.register(Says(words), f"plugin{number}", "1")
+    plugins.register(plugin_of(component("colmap"), hook="hir_register_initializers"), "names", "1")
     assert plugins.suggest_initializers(None) == ["colmap"]
 
 

@@ -56,6 +56,53 @@ class WritesFirst(Obj):
         return super().write(asset, destination, edit)
 
 
+class Rewritten(Obj):
+    """Changes the text of the files that it wrote."""
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        report = super().write(asset, destination, edit)
+        for file in report.files[:2]:
+            lines = file.read_text().splitlines()
+            file.write_text("\n".join(self.changed(line) for line in lines) + "\n")
+        return report
+
+    def changed(self, line: str) -> str:
+        return line
+
+
+class DownwardV(Rewritten):
+    def changed(self, line: str) -> str:
+        word, *numbers = line.split() or [""]
+        return f"vt {numbers[0]} {1 - float(numbers[1])}" if word == "vt" else line
+
+
+class InwardNormals(Rewritten):
+    def changed(self, line: str) -> str:
+        word, *numbers = line.split() or [""]
+        return " ".join(["vn", *(str(-float(number)) for number in numbers)]) if word == "vn" else line
+
+
+class NamesNoPicture(Rewritten):
+    def changed(self, line: str) -> str:
+        return "map_Kd no_such_picture.png" if line.startswith("map_Kd") else line
+
+
+class NamesNoMaterials(Rewritten):
+    def changed(self, line: str) -> str:
+        return "mtllib no_such_library.mtl" if line.startswith("mtllib") else line
+
+
+class OneWarning(Obj):
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        return replace(super().write(asset, destination, edit), warnings="roughness is not written")  # type: ignore[arg-type]
+
+
+class NoReport(Obj):
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        super().write(asset, destination, edit)
+        return None  # type: ignore[return-value]
+
+
 class Usd(Exporter):
     """The sound one with a document."""
 

@@ -59,6 +59,39 @@ class ForgetsOne(FromFile):
         return replace(capture, views=capture.views[1:] + capture.views[:1]), scene
 
 
+class InsideOut(FromFile):
+    def changed(self, positions: Any, faces: Any) -> tuple[Any, Any]:
+        import trimesh
+
+        ball = trimesh.creation.icosphere(2)
+        return np.asarray(ball.vertices), np.asarray(ball.faces)[:, ::-1]
+
+
+class FromOne(FromFile):
+    def changed(self, positions: Any, faces: Any) -> tuple[Any, Any]:
+        return positions, faces + 1
+
+
+class Empty(FromFile):
+    def changed(self, positions: Any, faces: Any) -> tuple[Any, Any]:
+        return positions, faces[:0]
+
+
+class ReportsNothing(FromFile):
+    def report(self) -> Any:
+        return None
+
+
+class ReportsArrays(FromFile):
+    def report(self) -> Any:
+        return {"size": np.arange(3)}
+
+
+class ScansAName(FromFile):
+    def scan(self) -> Any:
+        return "scan.ply"
+
+
 class SceneAlone(FromFile):
     def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> Any:
         return super().initialize(capture, scene, workspace)[1]

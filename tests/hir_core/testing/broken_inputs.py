@@ -92,10 +92,10 @@ class Quality:
     """Nothing sets it."""
 
 
-def reader(implementation: type = Reader, config: type = NoOptions) -> Component:
+def reader(implementation: type = Reader, config: type = NoOptions, module: str = HERE) -> Component:
     return Component(
         "wrapped",
-        f"{HERE}:{implementation.__name__}",
+        f"{module}:{implementation.__name__}",
         config,
         summary="A reader, wrapped.",
         testing="hir_plugins.readers.contract_inputs:transforms_json",
@@ -134,8 +134,45 @@ class NeedsOne(Masks):
         return super().masks(capture, scene)
 
 
-def mask_source(implementation: type = Masks) -> Component:
-    return Component("keyed", f"{HERE}:{implementation.__name__}", summary="Masks, wrapped.")
+class TupleOfMasks(Masks):
+    def masks(self, capture: Capture, scene: Any) -> Any:
+        return tuple(super().masks(capture, scene))
+
+
+class NoMasks(Masks):
+    def masks(self, capture: Capture, scene: Any) -> Any:
+        return None
+
+
+class NestedLists(Masks):
+    def masks(self, capture: Capture, scene: Any) -> Any:
+        return [mask.tolist() for mask in super().masks(capture, scene)]
+
+
+class NeedsCameras(Masks):
+    def masks(self, capture: Capture, scene: Any) -> list[Any]:
+        if capture.cameras:
+            return super().masks(capture, scene)
+        return []
+
+
+class NeedsPoints(Masks):
+    def masks(self, capture: Capture, scene: Any) -> list[Any]:
+        return super().masks(capture, scene) if capture.points is not None else [None] * len(capture.views)
+
+
+class NoFiles(Masks):
+    def files(self, capture: Capture) -> Any:
+        return None
+
+
+class MissingFiles(Masks):
+    def files(self, capture: Capture) -> list[Path]:
+        return [capture.path / "no_such_file.png"]
+
+
+def mask_source(implementation: type = Masks, traits: frozenset[str] = frozenset()) -> Component:
+    return Component("keyed", f"{HERE}:{implementation.__name__}", summary="Masks, wrapped.", traits=traits)
 
 
 BROKEN_MASKS: dict[str, Component] = {

@@ -203,6 +203,27 @@ class ByThreads(Dispersion):
         return super().energy(scene) * (0.99 if torch.get_num_threads() == 3 else 1.0)
 
 
+class RootOfZero(Dispersion):
+    """Its gradient at the ideal is 0/0."""
+
+    def energy(self, scene: Scene) -> Tensor:
+        return super().energy(scene).sqrt()
+
+
+class PreparesNothing(Dispersion):
+    def prepare(self, scene: Scene) -> Any:
+        return None
+
+
+class WithoutArgument(Dispersion):
+    def prepare(self, scene: Scene) -> Any:
+        return lambda: self.energy(scene)
+
+
+def no_scene(scene: Scene) -> None:
+    """An ideal that is forgotten."""
+
+
 def made(implementation: type = Dispersion, **changes: Any) -> Component:
     """A descriptor of the sound one, with changes."""
     is_ok: dict[str, Any] = {

@@ -23,7 +23,7 @@ class Silent(Regularizer):
 
 @hookimpl
 def hir_register_regularizers():
-    return [Component(name="silent", target=f"{__name__}:Silent", config=None, summary="Says nothing of what it is.")]
+    return [Component(name="silent", target=f"{__name__}:Silent", summary="Says nothing of what it is.")]
 """
 
 

@@ -121,3 +121,24 @@ def test_command_prints_the_next_steps(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert f"pip install -e {tmp_path / 'hir-my-term'}" in done.output
     assert "hir check-plugin hir-my-term" in done.output
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "owner"),
+    [
+        ("laplacian", "regularizer", "the regularizer 'laplacian' of hir"),
+        ("hir-GLB", "exporter", "the exporter 'glb' of hir"),
+        ("previews", "observer", "an installed observer"),
+        ("batch", "command", "an installed command"),
+        ("check-plugin", "command", "an installed command"),
+    ],
+)
+def test_a_name_that_is_taken_is_refused(name: str, kind: str, owner: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(cli, ["new-plugin", name, "--kind", kind, "-o", str(tmp_path)])
+    assert isinstance(done.exception, ConfigError) and f"is taken by {owner}, which" in str(done.exception)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_name_of_another_kind_is_free(tmp_path: Path) -> None:
+    done = CliRunner().invoke(cli, ["new-plugin", "laplacian", "--kind", "exporter", "-o", str(tmp_path)])
+    assert done.exit_code == 0, done.output

@@ -1,0 +1,64 @@
+"""Reads what an exporter wrote in an .obj file: corners with texture coordinates and normals, and the files named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class ObjFile:
+    """The triangles of a file; `uvs` and `normals` are None where not every corner has one."""
+
+    positions: NDArray[np.float64]
+    """(F, 3, 3): faces, corners, coordinates."""
+    uvs: NDArray[np.float64] | None
+    """(F, 3, 2) as the file has them: v points up."""
+    normals: NDArray[np.float64] | None
+    """(F, 3, 3)."""
+    missing: tuple[str, ...]
+    """Names in the file, and in its material libraries, of files that are not there."""
+
+
+def read_obj(path: Path) -> ObjFile:
+    """The triangles of an .obj file whose faces are triangles."""
+    lines = [line.split(maxsplit=1) for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
+    values: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
+    faces, libraries = [], []
+    for word, rest in (line for line in lines if len(line) == 2):
+        if word in values:
+            values[word].append([float(number) for number in rest.split()[: 2 if word == "vt" else 3]])
+        elif word == "f":
+            faces.append([(corner + "//").split("/")[:3] for corner in rest.split()])
+        elif word == "mtllib":
+            libraries.append(path.parent / rest.strip())
+    named = [library for library in libraries if not library.is_file()]
+    for library in libraries:
+        named += [file for file in _maps(library) if not file.is_file()]
+    corners = [_corners(values[word], faces, place) for place, word in enumerate(("v", "vt", "vn"))]
+    assert corners[0] is not None
+    return ObjFile(corners[0], corners[1], corners[2], tuple(file.name for file in named))
+
+
+def _corners(values: list[list[float]], faces: list[list[list[str]]], place: int) -> NDArray[np.float64] | None:
+    """The value that each corner of each face names; None where one names none."""
+    if any(not corner[place] for face in faces for corner in face):
+        return None
+    indices = np.array([[int(corner[place]) for corner in face] for face in faces])
+    return np.array(values)[np.where(indices > 0, indices - 1, indices + len(values))]
+
+
+def _maps(library: Path) -> list[Path]:
+    """The pictures that a material library names: the last word of a statement, behind its options."""
+    if not library.is_file():
+        return []
+    found = []
+    for line in library.read_text(encoding="utf-8", errors="replace").splitlines():
+        word, _, rest = line.strip().partition(" ")
+        if (word.lower().startswith("map_") or word.lower() in ("norm", "bump", "disp", "decal", "refl")) and rest:
+            name = rest.strip() if not rest.strip().startswith("-") else rest.split()[-1]
+            found.append(library.parent / name)
+    return found
