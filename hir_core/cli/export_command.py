@@ -239,10 +239,7 @@ def _asset(source: Path, maps: dict[str, str], light: Path | None) -> Asset:
         from hir_exporters.reading.material_overrides import parse_material_overrides
         from hir_exporters.reading.mesh_import import load_mesh_asset
 
-        from hir_core.run.python_warnings import forward_user_warnings
-
-        with forward_user_warnings(lambda sentence: click.echo(f"hir: {sentence}", err=True)):
-            return load_mesh_asset(source, parse_material_overrides(maps), light)
+        return load_mesh_asset(source, parse_material_overrides(maps), light)
     if maps or light is not None:
         options = ", ".join([*(f"--{name.replace('_', '-')}" for name in maps), *(["--light"] if light else [])])
         raise InputError(f"{source} is not a mesh file; {options} can only be used with a mesh file such as model.obj")

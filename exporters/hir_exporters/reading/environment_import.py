@@ -15,7 +15,7 @@ from hir_exporters.textures.image_files import read_exr, read_hdr
 ASPECT_TOLERANCE: Final = 0.02
 """Largest relative difference of the width of a lat-long image from twice its height."""
 NEGATIVE_SHARE: Final = 0.001
-"""Of all light: resampling filters of other programs leave less than this below 0."""
+"""Of all light: filters that resample images overshoot a little, and so little changes no picture."""
 
 
 def read_environment(path: Path) -> AssetEnvironment:

@@ -20,6 +20,7 @@ from hir_exporters.errors import HirError, InputError
 from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.materials.material_conversion import collapse_uniform_textures
 from hir_exporters.materials.surfaces import default_surface
+from hir_exporters.mesh.vertex_normals import angle_weighted_normals
 from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
 from hir_exporters.reading.base_color_texture import ply_texture
 from hir_exporters.reading.environment_import import read_light
@@ -133,12 +134,9 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
 
 def _unit_normals(part: Any) -> Array:
     """Vertex normals of the file, else weighted by the angles of the triangles; +Y for vertices without any."""
-    if "vertex_normals" in part._cache:
-        normals = np.array(part.vertex_normals, np.float64)
-    else:  # trimesh would need scipy for this
-        at_corners = (part.face_angles[..., None] * part.face_normals[:, None]).reshape(-1, 3)
-        corners = np.asarray(part.faces).ravel()
-        normals = np.stack([np.bincount(corners, axis, len(part.vertices)) for axis in at_corners.T], axis=1)
+    if "vertex_normals" not in part._cache:
+        return angle_weighted_normals(part.vertices, np.asarray(part.faces))
+    normals = np.array(part.vertex_normals, np.float64)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
 

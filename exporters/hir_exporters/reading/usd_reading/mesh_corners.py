@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.errors import InputError
+from hir_exporters.mesh.polygon_triangulation import triangulate
+from hir_exporters.mesh.vertex_normals import angle_weighted_normals, unit_or_zero
 from hir_exporters.reading.gltf_geometry.gltf_mesh import CornerMesh
-from hir_exporters.reading.usd_reading.polygon_triangulation import triangulate
 from hir_exporters.reading.usd_reading.texture_coordinates import TextureCoordinates, chosen_primvar
 
 if TYPE_CHECKING:
@@ -84,13 +85,15 @@ def read_corners(mesh: UsdGeom.Mesh, to_asset: Array, coordinates: TextureCoordi
     normals, interpolation = _authored_normals(mesh, name, path)
     _warn_of_subdivision(mesh, normals is not None, path)
     if normals is None:
-        corner_normals = _smooth_normals(points, topology.points)
+        corner_normals = angle_weighted_normals(points, topology.points)[topology.points]
     else:
         normals = _unit(normals if np.array_equal(linear, np.eye(3)) else normals @ np.linalg.inv(linear).T)
         corner_normals = topology.at_corners(normals, interpolation, "normals")
         if not normals.any(axis=-1).all():
             known = np.any(corner_normals, axis=-1, keepdims=True)
-            corner_normals = np.where(known, corner_normals, _smooth_normals(points, topology.points))
+            corner_normals = np.where(
+                known, corner_normals, angle_weighted_normals(points, topology.points)[topology.points]
+            )
     primvar = chosen_primvar(mesh, coordinates, path)
     uvs = coordinates.applied(_flattened(primvar, name, path).reshape(-1, 2)) * [1, -1] + [0, 1]
     corner_uvs = topology.at_corners(uvs, primvar.GetInterpolation(), "texture coordinates")
@@ -111,11 +114,14 @@ def _topology(mesh: UsdGeom.Mesh, points: Array, flipped: bool, path: Path) -> _
     if indices.min(initial=0) < 0 or indices.max(initial=-1) >= len(points):
         raise InputError(f"{path}: mesh.faces has an index out of range ({name} has {len(points)} points)")
     triangular = bool((counts == 3).all())
-    try:
-        # Positions of corners are needed only where there are polygons to divide.
-        corners, polygons = triangulate(counts, points if triangular else points[indices])
-    except InputError as error:
-        raise InputError(f"{path}: the mesh {name} cannot be divided into triangles: {error}") from error
+    # Positions of corners are needed only where there are polygons to divide.
+    corners, polygons, overlapping = triangulate(counts, points if triangular else points[indices])
+    if overlapping:
+        warnings.warn(
+            f"{path}: the mesh {name} has {overlapping} polygons whose triangles overlap; triangulate it in the "
+            "program that made it",
+            stacklevel=4,
+        )
     if flipped:
         corners = corners[:, [0, 2, 1]]
     sizes = {
@@ -152,26 +158,13 @@ def _warn_of_subdivision(mesh: UsdGeom.Mesh, has_normals: bool, path: Path) -> N
         )
 
 
-def _smooth_normals(points: Array, faces: NDArray[np.int64]) -> Array:
-    """Unit normals (F, 3, 3), at each point the mean of its triangles weighted by their angles; +Y without any."""
-    corners = points[faces]
-    following, preceding = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
-    normals = np.cross(following, preceding)
-    sine, cosine = np.linalg.norm(normals, axis=-1), (following * preceding).sum(axis=-1)
-    weighted = _unit(normals) * np.arctan2(sine, cosine)[..., None]
-    sums = [np.bincount(faces.ravel(), axis, len(points)) for axis in weighted.reshape(-1, 3).T]
-    summed = _unit(np.stack(sums, axis=-1))
-    return np.where(summed.any(axis=-1, keepdims=True), summed, [0.0, 1.0, 0.0])[faces]
-
-
 def _unit(vectors: Array) -> Array:
     """Unit vectors; 0 for those without a length. Those of unit length are not rounded again."""
     length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
     near_unit = np.abs(length - 1) < _UNIT_TOLERANCE
     if near_unit.all():
         return vectors
-    scaled = np.where(length > 1e-30, vectors / np.maximum(length, 1e-30), 0.0)
-    return np.where(near_unit, vectors, scaled)
+    return np.where(near_unit, vectors, unit_or_zero(vectors))
 
 
 def _flattened(primvar: UsdGeom.Primvar, name: str, path: Path) -> Array:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.errors import InputError
+from hir_exporters.mesh.polygon_triangulation import triangulate
 from hir_exporters.reading.wavefront.face_corners import read_corners
 from hir_exporters.reading.wavefront.obj_statements import Statements, library_names, read_statements, used_materials
-from hir_exporters.reading.wavefront.polygon_triangles import triangle_corners
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ def read_obj(path: Path) -> ObjGeometry:
     found = read_statements(path)
     positions = _rows(path, found[b"v"], 3, "mesh.positions does not have three numbers")
     corners = read_corners(path, found[b"f"], (found[b"v"].lines, found[b"vt"].lines, found[b"vn"].lines))
-    triangles, overlapping = triangle_corners(positions[corners.indices[:, 0]], corners.sizes)
+    triangles, _, overlapping = triangulate(corners.sizes, positions[corners.indices[:, 0]])
     if overlapping:
         warnings.warn(
             f"{path} has {overlapping} polygons whose triangles overlap; triangulate the mesh in the "

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hir_exporters.mesh.vertex_normals import angle_weighted_normals
 from hir_exporters.reading.wavefront.obj_geometry import ObjGeometry
 
 if TYPE_CHECKING:
@@ -48,21 +49,10 @@ def vertex_normals(geometry: ObjGeometry, mesh: VertexMesh) -> Array:
     with np.errstate(invalid="ignore", over="ignore"):  # numbers that `validate_asset` refuses
         missing = ~(np.linalg.norm(normals, axis=1) > 1e-12)
         if missing.any():
-            normals[missing] = angle_weighted_normals(geometry)[mesh.vertices[missing, 0]]
+            around = angle_weighted_normals(geometry.positions, geometry.corners[..., 0])
+            normals[missing] = around[mesh.vertices[missing, 0]]
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         return np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
-
-
-def angle_weighted_normals(geometry: ObjGeometry) -> Array:
-    """Sums (V, 3) of the normals of the triangles at each position, weighted by their angles there."""
-    index = geometry.corners[..., 0]
-    points = geometry.positions[index]
-    after = _unit(np.roll(points, -1, axis=1) - points)
-    face_normal = _unit(np.cross(after[:, 0], after[:, 1]))
-    angle = np.arccos(np.clip(-(after * np.roll(after, 1, axis=1)).sum(axis=-1), -1, 1))
-    weighted = (angle[..., None] * face_normal[:, None]).reshape(-1, 3)
-    count = len(geometry.positions)
-    return np.stack([np.bincount(index.ravel(), axis, count) for axis in weighted.T], axis=1)
 
 
 def trimesh_scene(geometry: ObjGeometry, process: bool = True) -> trimesh.Scene:
@@ -92,8 +82,3 @@ def _color_codes(colors: Array) -> NDArray[np.uint8]:
     """Codes of 8 bits; some programs write them as such, most as numbers up to 1."""
     colors = np.nan_to_num(colors)
     return np.clip(colors * (255 if colors.max() <= 1 else 1), 0, 255).round().astype(np.uint8)
-
-
-def _unit(vectors: Array) -> Array:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.maximum(length, 1e-300)

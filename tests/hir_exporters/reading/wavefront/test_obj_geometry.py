@@ -163,7 +163,10 @@ def test_a_texture_coordinate_of_one_number_has_a_v_of_zero(tmp_path: Path) -> N
     assert (1, 0, 0, 1, 0) in asset_corners(tmp_path / "a.obj", normals=False)
 
 
-@pytest.mark.parametrize("outline", ["0,0 4,0 4,4 3,1", "0,0 4,0 4,4 2,1 0,4", "4,4 3,1 0,0 4,0"])
+COMB = "0,0 7,0 7,4 6,4 6,1 4,1 4,4 3,4 3,1 1,1 1,4 0,4"
+
+
+@pytest.mark.parametrize("outline", ["0,0 4,0 4,4 3,1", "0,0 4,0 4,4 2,1 0,4", "4,4 3,1 0,0 4,0", COMB])
 def test_concave_polygons_are_covered_once(outline: str, tmp_path: Path) -> None:
     points = [tuple(float(x) for x in point.split(",")) for point in outline.split()]
     vertices = "".join(f"v {x} {y} 0\nvt {x / 4} {y / 4}\n" for x, y in points)
@@ -176,10 +179,10 @@ def test_concave_polygons_are_covered_once(outline: str, tmp_path: Path) -> None
     assert signed.sum() == pytest.approx((x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2)
 
 
-def test_a_polygon_whose_triangles_overlap_is_a_warning(tmp_path: Path) -> None:
-    comb = [(0, 0), (7, 0), (7, 4), (6, 4), (6, 1), (4, 1), (4, 4), (3, 4), (3, 1), (1, 1), (1, 4), (0, 4)]
-    vertices = "".join(f"v {x} {y} 0\nvt {x / 7} {y / 7}\n" for x, y in comb)
-    (tmp_path / "a.obj").write_text(vertices + "f " + " ".join(f"{i}/{i}" for i in range(1, len(comb) + 1)) + "\n")
+def test_a_polygon_that_crosses_itself_is_a_warning(tmp_path: Path) -> None:
+    crossed = [(0, 0), (4, 0), (4, 4), (2, -2), (0, 4)]
+    vertices = "".join(f"v {x} {y} 0\nvt {x / 7} {y / 7}\n" for x, y in crossed)
+    (tmp_path / "a.obj").write_text(vertices + "f " + " ".join(f"{i}/{i}" for i in range(1, len(crossed) + 1)) + "\n")
     with pytest.warns(UserWarning, match=r"a\.obj has 1 polygons whose triangles overlap; triangulate the mesh"):
         load_mesh_asset(tmp_path / "a.obj")
 

@@ -7,71 +7,79 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hir_exporters.errors import InputError
-
 MAX_CONCAVE_CORNERS: Final = 1000
-"""Corners of a polygon that no fan divides: the time of its triangulation grows with their square or more."""
+"""Polygons of more corners are a fan: the time of clipping ears grows with their square or more."""
 
-_TOLERANCE: Final = 1e-9
-"""Of areas, relative to that of the polygon."""
+_TOLERANCE: Final = 1e-6
+"""Of areas, relative to that of the polygon: coordinates are rounded to float32 or to a few digits of text."""
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-def triangulate(counts: Indices, corners: Array) -> tuple[Indices, Indices]:
-    """Corner indices (T, 3) of triangles, and the polygon (T,) of each, in the order of the polygons.
+def triangulate(counts: Indices, corners: Array) -> tuple[Indices, Indices, int]:
+    """Corner indices (T, 3) of triangles, the polygon (T,) of each, and how many polygons have triangles that overlap.
 
-    `counts` (F,) are the corners of each polygon, `corners` (C, 3) their positions, one polygon after the other.
-    Polygons of fewer than three corners have no area and no triangle. Raises `InputError` for polygons that cross
-    themselves, without the name of the file.
+    `counts` (F,) are the corners of each polygon, `corners` (C, 3) their positions, one polygon after the other; the
+    triangles are in the order of the polygons. Polygons of fewer than three corners have no area and no triangle.
+    Those that cross themselves, or are concave with very many corners, are a fan, whose triangles overlap.
     """
     if (counts == 3).all():
-        return np.arange(3 * len(counts)).reshape(-1, 3), np.arange(len(counts))
+        return np.arange(3 * len(counts)).reshape(-1, 3), np.arange(len(counts)), 0
     offsets = np.cumsum(counts) - counts
-    triangles, polygons = [], []
+    triangles, polygons, overlapping = [], [], 0
     for count in np.unique(counts[counts >= 3]):
         group = np.flatnonzero(counts == count)
         indices = offsets[group, None] + np.arange(count)
-        local = _triangles(corners[indices], group)
+        with np.errstate(invalid="ignore", over="ignore"):  # positions that are refused later
+            local, failed = _triangles(corners[indices])
+        overlapping += failed
         triangles.append(np.take_along_axis(indices[:, None], local.reshape(len(group), 1, -1), axis=2).reshape(-1, 3))
         polygons.append(np.repeat(group, count - 2))
     if not triangles:
-        return np.empty((0, 3), np.int64), np.empty(0, np.int64)
+        return np.empty((0, 3), np.int64), np.empty(0, np.int64), 0
     polygon = np.concatenate(polygons)
     order = np.argsort(polygon, kind="stable")
-    return np.concatenate(triangles)[order], polygon[order]
+    return np.concatenate(triangles)[order], polygon[order], overlapping
 
 
-def _triangles(corners: Array, polygons: Indices) -> Indices:
-    """Triangles (G, n - 2, 3) of polygons (G, n, 3) with the same number of corners; `polygons` are their numbers."""
+def _triangles(corners: Array) -> tuple[Indices, int]:
+    """Triangles (G, n - 2, 3) of polygons (G, n, 3) with the same number of corners, and how many overlap."""
     count = corners.shape[1]
     middle = np.arange(1, count - 1)
     fan = np.stack([0 * middle, middle, middle + 1], axis=1)
     triangles = np.repeat(fan[None], len(corners), axis=0)
     if count == 3:
-        return triangles
+        return triangles, 0
     edges = corners[:, 1:] - corners[:, :1]
-    areas = np.cross(edges[:, :-1], edges[:, 1:])
-    normals = areas.sum(axis=1)
-    signs = np.einsum("gnc,gc->gn", areas, normals)
-    limits = -_TOLERANCE * np.square(normals).sum(axis=1)
-    concave = np.flatnonzero((signs < limits[:, None]).any(axis=1))
+    normals = np.cross(edges[:, :-1], edges[:, 1:]).sum(axis=1)
+    concave = np.flatnonzero(_overlap(corners, fan, normals))
     if count == 4:
-        triangles[concave] = [[1, 2, 3], [1, 3, 0]]  # by the other diagonal
-        return triangles
+        other = np.array([[1, 2, 3], [1, 3, 0]])
+        triangles[concave] = other
+        return triangles, int(_overlap(corners[concave], other, normals[concave]).sum())
+    failed = 0
     for index in concave:
-        triangles[index] = _clipped_ears(corners[index], normals[index], int(polygons[index]))
-    return triangles
+        clipped = _clipped_ears(corners[index], normals[index])
+        if clipped is None:
+            failed += 1
+        else:
+            triangles[index] = clipped
+    return triangles, failed
 
 
-def _clipped_ears(corners: Array, normal: Array, polygon: int) -> Indices:
-    """Triangles (n - 2, 3) of one polygon (n, 3)."""
+def _overlap(corners: Array, triangles: Indices, normals: Array) -> NDArray[np.bool_]:
+    """Which polygons (G, n, 3) have a triangle of `triangles` (T, 3) that is turned over."""
+    at = corners[:, triangles]
+    areas = np.cross(at[:, :, 1] - at[:, :, 0], at[:, :, 2] - at[:, :, 0])
+    limits = -_TOLERANCE * np.square(normals).sum(axis=1)
+    return np.asarray((np.einsum("gtc,gc->gt", areas, normals) < limits[:, None]).any(axis=1))
+
+
+def _clipped_ears(corners: Array, normal: Array) -> Indices | None:
+    """Triangles (n - 2, 3) of one polygon (n, 3); None where it crosses itself or has too many corners."""
     if len(corners) > MAX_CONCAVE_CORNERS:
-        raise InputError(
-            f"polygon {polygon} is concave and has {len(corners)} corners, more than {MAX_CONCAVE_CORNERS}; "
-            "triangulate the mesh first"
-        )
+        return None
     plane = _projected(corners, normal)
     limit = _TOLERANCE * float(np.linalg.norm(normal))
     remaining, triangles, position, failures = list(range(len(corners))), [], 0, 0
@@ -85,11 +93,9 @@ def _clipped_ears(corners: Array, normal: Array, polygon: int) -> Indices:
         else:
             position, failures = position + 1, failures + 1
         if failures > len(remaining):
-            break
-    a, b, c = plane[remaining[:3]]
-    if len(remaining) > 3 or _cross(b - a, c - a) < -limit:
-        raise InputError(f"polygon {polygon} crosses itself; triangulate the mesh first")
-    return np.asarray([*triangles, remaining])
+            return None
+    a, b, c = plane[remaining]
+    return None if _cross(b - a, c - a) < -limit else np.asarray([*triangles, remaining])
 
 
 def _projected(corners: Array, normal: Array) -> Array:
