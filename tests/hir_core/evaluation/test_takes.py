@@ -71,6 +71,7 @@ def test_each_take_has_its_light_in_the_files_of_the_run(run: RunDirectory) -> N
     torch.testing.assert_close(scene.environment.radiance, scene.take_radiance["day"], rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_views_are_evaluated_under_the_light_of_their_take(run: RunDirectory, capture: Path) -> None:
     plugins = PluginManager.discover()
     found = evaluate_run(run, EvaluationRequest(options=CHEAP), plugins)
@@ -91,6 +92,7 @@ def test_views_are_evaluated_under_the_light_of_their_take(run: RunDirectory, ca
         (capture / "transforms_test.json").write_text(json.dumps(document))
 
 
+@pytest.mark.slow
 def test_a_run_without_the_lights_of_its_takes_is_refused(run: RunDirectory, tmp_path: Path) -> None:
     """The light of the first take, which the asset has, would be wrong for the others."""
     shutil.copytree(run.path, tmp_path / "run")

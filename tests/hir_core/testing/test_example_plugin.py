@@ -26,6 +26,7 @@ def python(wheels: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path
     return found
 
 
+@pytest.mark.slow
 def test_its_components_are_found_by_installation(python: Path, tmp_path: Path) -> None:
     code = "import hir_core, hir_example; print(hir_core.__file__); print(hir_example.__file__)"
     for place in message(python, "-c", code, folder=tmp_path).split():

@@ -89,6 +89,7 @@ def refined(capture: Capture, folder: Path, **options: object) -> tuple[Capture,
     return result, initializer, [str(w.message) for w in caught if w.category is UserWarning]
 
 
+@pytest.mark.slow
 def test_wrong_cameras_come_back_from_silhouettes(true_capture: Capture, tmp_path: Path) -> None:
     wrong = slightly_wrong(true_capture)
     result, initializer, said = refined(wrong, tmp_path, method="silhouettes", rounds=3)

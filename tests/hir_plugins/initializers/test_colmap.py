@@ -214,6 +214,7 @@ def two_takes() -> tuple[Capture, list[Camera]]:
     return Capture(Path("made-in-memory"), tuple(views)), upright + turned
 
 
+@pytest.mark.slow
 def test_takes_are_joined_by_the_object(
     two_takes: tuple[Capture, list[Camera]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

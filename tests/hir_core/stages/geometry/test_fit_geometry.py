@@ -142,7 +142,9 @@ def plain(capture: Capture, tmp_path_factory: pytest.TempPathFactory) -> Mesh:
     return _fit(_ball(), capture, SHORT, tmp_path_factory.mktemp("plain"))[0]
 
 
-@pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), pytest.param(1e4, 0.0, marks=pytest.mark.slow), (1.0, 1e4)])
+@pytest.mark.parametrize(
+    ("scale", "shift"), [*(pytest.param(scale, 0.0, marks=pytest.mark.slow) for scale in (1e-3, 1e4)), (1.0, 1e4)]
+)
 def test_scale_and_position_of_the_world_do_not_matter(
     capture: Capture, plain: Mesh, tmp_path: Path, scale: float, shift: float
 ) -> None:
@@ -184,6 +186,7 @@ def assert_wrong_masks_are_named(report: GeometryReport, capture: Capture, warni
     assert all(any(name in sentence for sentence in warnings) for name in names)
 
 
+@pytest.mark.slow
 def test_wrong_masks_are_named(partly_wrong: Capture, tmp_path: Path) -> None:
     warnings: list[str] = []
     _, report = _fit(_ball(), partly_wrong, replace(SETTINGS, iterations=50), tmp_path, warnings)
@@ -201,6 +204,7 @@ def test_wrong_masks_do_not_change_the_mesh(partly_wrong: Capture, tmp_path: Pat
     assert iou > uniform_iou
 
 
+@pytest.mark.slow
 def test_a_handle_stays_a_handle(tmp_path: Path) -> None:
     ring = torus(64, 32, 0.3)
     start = torus(32, 16, 0.42)
@@ -214,6 +218,7 @@ def test_a_handle_stays_a_handle(tmp_path: Path) -> None:
     assert _unseen_offset(mesh, ring)[0] > 0.97
 
 
+@pytest.mark.slow
 def test_lost_thin_parts_cause_a_warning(tmp_path: Path) -> None:
     body, faces = icosphere(3)
     rod = body * [0.012, 0.5, 0.012] + [0.0, 0.9, 0.0]
@@ -230,6 +235,7 @@ def test_lost_thin_parts_cause_a_warning(tmp_path: Path) -> None:
     assert any("thin parts" in sentence for sentence in warnings)
 
 
+@pytest.mark.slow
 def test_a_mesh_too_coarse_for_its_silhouettes_causes_a_warning(tmp_path: Path) -> None:
     body, faces = icosphere(4)
     spiky = body * (0.5 + 0.5 * np.abs(np.sin(7 * body[:, :1])) ** 8)
@@ -246,6 +252,7 @@ def test_a_mesh_too_coarse_for_its_silhouettes_causes_a_warning(tmp_path: Path) 
     assert any("held-out views fit worse" in sentence for sentence in warnings)
 
 
+@pytest.mark.slow
 def test_floating_components_that_no_mask_needs_are_removed(tmp_path: Path) -> None:
     body, faces = icosphere(3)
     inner, needed = body * 0.2 + [0.1, 0.0, 0.0], body * 0.15 + [0.0, 0.95, 0.0]

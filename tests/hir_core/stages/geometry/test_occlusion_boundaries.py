@@ -123,6 +123,7 @@ def cup_capture() -> Capture:
     return _photographed(*_cup(INNER), _from_above(36, 80))
 
 
+@pytest.mark.slow
 def test_the_rim_of_a_cup_moves_to_where_photographs_show_it(cup_capture: Capture, tmp_path) -> None:  # type: ignore[no-untyped-def]
     """No outline shows the inner edge of a rim. It starts three pixels off."""
     positions, faces, _ = _cup(WRONG)

@@ -76,7 +76,7 @@ def fitted(tmp_path: Path, scene: Scene, capture: Capture, **settings: Any) -> t
     return found.scene, found.report
 
 
-@pytest.mark.parametrize("frame", ["world", "camera"])
+@pytest.mark.parametrize("frame", [pytest.param("world", marks=pytest.mark.slow), "camera"])
 def test_the_frame_of_the_light_is_selected_on_held_out_views(tmp_path: Path, frame: str) -> None:
     """Diffuse under a light in the world against diffuse under a light on the camera; no other model is fitted."""
     scene, report = fitted(tmp_path, *made(frame))

@@ -67,6 +67,7 @@ def test_black_and_white(albedo: float, tmp_path: Path) -> None:
     assert float((values - albedo).abs().max()) < 0.05
 
 
+@pytest.mark.slow
 def test_white_beside_black_is_as_white_as_alone(tmp_path: Path) -> None:
     """In sRGB a black pixel weighs as much as a thousand white ones; it must not darken the white side."""
     mesh = ball()
@@ -114,6 +115,7 @@ def test_a_mirror_like_metal_has_a_coloured_reflection(tmp_path: Path) -> None:
 # -- views ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_grazing_views(tmp_path: Path) -> None:
     """A square that is observed only from 12° above its plane."""
     mesh, low = square(), np.radians(12)
@@ -141,6 +143,7 @@ def test_views_that_all_graze_end_with_one_clear_sentence(model: str, tmp_path: 
         fitted(mesh, photographs(truth, eyes, size=64), tmp_path, light=sky(), model=model)
 
 
+@pytest.mark.slow
 def test_a_fully_clipped_view_changes_nothing(tmp_path: Path) -> None:
     """Its known exposure is 100 times that of the others: all its pixels are clipped."""
     truth = Scene(ball(), make_material(BROWN), lamps())

@@ -60,6 +60,7 @@ def run(capture: Capture, scene: Scene, folder: Path, rate: float) -> tuple[Scen
     return fitted, report, warnings
 
 
+@pytest.mark.slow
 def test_a_gain_is_accepted(observe_pixels: tuple[Capture, Scene], tmp_path: Path) -> None:
     capture, truth = observe_pixels
     assert truth.material is not None

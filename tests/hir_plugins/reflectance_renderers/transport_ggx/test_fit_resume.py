@@ -61,8 +61,8 @@ def test_an_interrupted_fit_ends_with_the_same_bits(tmp_path: Path, resident: in
     [
         ModelSpec("metallic", "uniform", metalness="metal"),
         pytest.param(ModelSpec("metallic", "uniform", metalness="map"), marks=pytest.mark.slow),
-        ModelSpec("dielectric", "uniform", lamp=True),
-        ModelSpec("dielectric", "uniform", roughness="map"),
+        pytest.param(ModelSpec("dielectric", "uniform", lamp=True), marks=pytest.mark.slow),
+        pytest.param(ModelSpec("dielectric", "uniform", roughness="map"), marks=pytest.mark.slow),
     ],
     ids=["metal", "map", "lamp", "roughness"],
 )

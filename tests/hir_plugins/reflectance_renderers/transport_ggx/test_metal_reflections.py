@@ -92,7 +92,12 @@ def shown(
 
 
 @pytest.mark.parametrize(
-    ("alpha", "color", "gain"), [(0.1, GOLD, 2.5), (0.3, GOLD, 1.2), (0.1, torch.full((3,), 0.9), 2.5)]
+    ("alpha", "color", "gain"),
+    [
+        (0.1, GOLD, 2.5),
+        pytest.param(0.3, GOLD, 1.2, marks=pytest.mark.slow),
+        pytest.param(0.1, torch.full((3,), 0.9), 2.5, marks=pytest.mark.slow),
+    ],
 )
 def test_agrees_with_the_path_tracer(
     seen: tuple[Transport, SurfacePoints, Tensor], alpha: float, color: Tensor, gain: float

@@ -296,6 +296,7 @@ def test_a_ball_that_is_half_gold_is_recovered(half_gold: tuple[Scene, Capture])
     assert float(material.roughness.mean()) == pytest.approx(0.25, abs=0.06)
 
 
+@pytest.mark.slow
 def test_a_metal_bowl_is_recovered() -> None:
     """All metal: no diffuse lobe, metalness one number, the colour in a texture."""
     mesh = unwrap_mesh(bowl(), TEXELS)[0]

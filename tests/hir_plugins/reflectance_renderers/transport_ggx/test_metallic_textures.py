@@ -154,6 +154,7 @@ def test_a_plastic_is_not_taken_for_metal() -> None:
     assert float((fits["dielectric"].scene_parameters.base_color - BLUE).abs().mean()) < 0.015
 
 
+@pytest.mark.slow
 def test_a_forced_metallic_fit_ends_in_a_glb(half_gold: tuple[Scene, Capture], tmp_path: Path) -> None:
     """The whole stage by its settings, refinement included, then bake and export: the file has the fitted maps."""
     truth, capture = half_gold

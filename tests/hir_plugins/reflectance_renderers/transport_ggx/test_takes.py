@@ -134,6 +134,7 @@ def test_the_prior_of_lights_does_not_join_them() -> None:
     assert float(light_energy(torch.cat([one, other]), 1.0, 0.5)) != pytest.approx(float(together), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_scene_of_a_fit_has_the_light_of_each_take(made: tuple[Scene, Capture]) -> None:
     """Under the light of each take it shows what the fit predicts, with the indirect light of that take."""
     scene, capture = made
