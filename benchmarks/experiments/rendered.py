@@ -21,6 +21,6 @@ def rendered(name: str) -> Path:
     model, texture = shared() / "captures" / "spot" / "reference.obj", shared() / "models" / "spot" / "spot_texture.png"
     if not (folder / "transforms_test.json").is_file() and blender.is_file() and model.is_file() and texture.is_file():
         tool = ROOT / "tools" / "render_capture_in_blender.py"
-        words = [blender, tool, model, texture, folder, *COMMANDS[name]]
+        words = [blender, tool, model, folder, "--texture", texture, *COMMANDS[name]]
         subprocess.run([str(word) for word in words], check=True, stdout=subprocess.DEVNULL)
     return folder
