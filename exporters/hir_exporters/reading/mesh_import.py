@@ -172,5 +172,6 @@ def _material(path: Path, maps: MaterialOverrides, found: SurfaceOfFile | None) 
         roughness=surface.roughness if maps.roughness is None else load_scalar(maps.roughness, "roughness"),
         metallic=surface.metallic if maps.metallic is None else load_scalar(maps.metallic, "metallic"),
     )
-    material, _ = decode_surface(surface, specular, normal if maps.normal is None else load_normal_map(maps.normal))
-    return material
+    if maps.normal is not None:
+        normal = load_normal_map(maps.normal, maps.normal_scale)
+    return decode_surface(surface, specular, normal)[0]
