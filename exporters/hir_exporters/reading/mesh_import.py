@@ -106,7 +106,11 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
                 loaded = gltf_scene(path, GLTF2().load(str(path)))
             else:
                 loaded = load_mesh_scene(path, process=False)
-            parts: list[Any] = [m for m in loaded.dump() if isinstance(m, trimesh.Trimesh) and len(m.faces)]
+            placed = [loaded.graph[node] for node in loaded.graph.nodes_geometry]
+            stored = [(loaded.geometry[name], to_world) for to_world, name in placed]
+            stored = [(m, to_world) for m, to_world in stored if isinstance(m, trimesh.Trimesh) and len(m.faces)]
+            parts: list[Any] = [mesh.copy().apply_transform(to_world) for mesh, to_world in stored]
+            normals = [_unit_normals(part, *source) for part, source in zip(parts, stored, strict=True)]
     except HirError:
         raise
     except IndexError as error:
@@ -129,17 +133,21 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return AssetMesh(
         positions=np.concatenate([part.vertices for part in parts]),
-        normals=np.concatenate([_unit_normals(part) for part in parts]),
+        normals=np.concatenate(normals),
         uvs=np.concatenate([np.asarray(part.visual.uv) for part in parts]) * [1, -1] + [0, 1],  # v is upwards there
         faces=np.concatenate([np.asarray(p.faces) + offset for p, offset in zip(parts, offsets, strict=True)]),
     )
 
 
-def _unit_normals(part: Any) -> Array:
-    """Vertex normals of the file, else weighted by the angles of the triangles; +Y for vertices without any."""
-    if "vertex_normals" not in part._cache:
+def _unit_normals(part: Any, stored: Any, to_world: Array) -> Array:
+    """Vertex normals of the file, else weighted by the angles of the triangles; +Y for vertices without any.
+
+    `stored` is the mesh before `to_world` (4, 4) made `part` of it, as copies in trimesh have no normals of the file.
+    """
+    linear = to_world[:3, :3]
+    if "vertex_normals" not in stored._cache or not np.linalg.det(linear):
         return angle_weighted_normals(part.vertices, np.asarray(part.faces))
-    normals = np.array(part.vertex_normals, np.float64)
+    normals = np.asarray(stored.vertex_normals, np.float64) @ np.linalg.inv(linear)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
 

@@ -194,6 +194,17 @@ def test_the_scale_of_a_normal_map_is_that_of_its_tangents(scale: float, tmp_pat
     np.testing.assert_allclose(normal, expected / np.linalg.norm(expected, axis=-1, keepdims=True), atol=1e-6)
 
 
+@pytest.mark.parametrize("scale", [[2, 1, 1], [1, 1, -1], [1, 0, 1]])
+def test_normals_are_turned_as_planes(scale: list[int], tmp_path: Path) -> None:
+    """By the inverse transpose; those of a mesh without a thickness are of its triangles, which have no area."""
+    normals = np.tile(np.array([0.6, 0, 0.8], np.float32), (4, 1))
+    changes = {"nodes": [{"mesh": 0, "scale": scale}]}
+    path = write_quad(tmp_path / "a.glb", {}, attributes={"NORMAL": normals}, changes=changes)
+    expected = np.array([0, 1, 0]) if 0 in scale else np.array([0.6, 0, 0.8]) / scale
+    found = load_mesh_asset(path).mesh.normals
+    np.testing.assert_allclose(found, np.tile(expected / np.linalg.norm(expected), (4, 1)), atol=1e-6)
+
+
 def test_materials_count_that_placed_triangles_have(tmp_path: Path) -> None:
     red, plain = textured(baseColorFactor=[1, 0, 0, 1]), textured()
     path = write_quad(tmp_path / "a.glb", None, [IMAGE])

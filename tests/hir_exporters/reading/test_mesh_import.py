@@ -10,6 +10,7 @@ from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 from hir_exporters.errors import InputError
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
+from hir_exporters.mesh.ply_format import encode_ply
 from hir_exporters.reading.file_verification import verify_file
 from hir_exporters.reading.gltf_json.stored_accessors import check_geometry
 from hir_exporters.reading.gltf_readback import read_gltf
@@ -41,6 +42,22 @@ def test_an_exported_core_material_comes_back(textured_asset: Asset, suffix: str
     np.testing.assert_allclose(back.material.specular_albedo, 0.04, atol=1e-5)
     assert back.material.normal is not None
     assert back.provenance == {"made_from": f"x.{suffix}"}
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "glb", "gltf", "usda"])
+def test_normals_are_those_of_the_file(constant_asset: Asset, suffix: str, tmp_path: Path) -> None:
+    """Others than those of a smooth surface."""
+    normals = constant_asset.mesh.normals + np.array([0.5, 0, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    asset = dataclasses.replace(constant_asset, mesh=dataclasses.replace(constant_asset.mesh, normals=normals))
+    if suffix == "ply":
+        (tmp_path / "x.ply").write_bytes(encode_ply(asset.mesh))
+    else:
+        create_exporter(suffix).write(asset, tmp_path / f"x.{suffix}")
+    back = load_mesh_asset(tmp_path / f"x.{suffix}")
+    order = [np.lexsort(corners(a).reshape(len(a.mesh.faces), -1).round(5).T) for a in (asset, back)]
+    actual, expected = (a.mesh.normals[a.mesh.faces][o] for a, o in zip((back, asset), order[::-1], strict=True))
+    np.testing.assert_allclose(actual, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("suffix", ["glb", "gltf"])
