@@ -222,7 +222,7 @@ def test_holes_are_left_out(triangles: bool, tmp_path: Path) -> None:
 
 def test_a_mesh_of_holes_is_refused(tmp_path: Path) -> None:
     path = write_box(tmp_path, lambda stage: box_of(stage).CreateHoleIndicesAttr(list(range(6))))
-    with pytest.raises(InputError, match=r"box.usda: mesh.faces contains no triangles \(all polygons are holes"):
+    with pytest.raises(InputError, match=r"box.usda: mesh.faces contains no triangles \(its polygons are holes"):
         read_usd(path)
 
 

@@ -60,7 +60,7 @@ def decompressed_glb(document: GLTF2, buffer: Callable[[int], bytes]) -> bytes:
 
 def view_content(view: Mapping[str, Any], buffer: Callable[[int], bytes]) -> bytes:
     """The bytes of a buffer view without its compression. Raises as `decompressed_glb`."""
-    compression = view.get("extensions", {}).get(MESHOPT)
+    compression = (view.get("extensions") or {}).get(MESHOPT)
     location = compression or view
     start = location.get("byteOffset", 0)
     stored = buffer(location["buffer"])[start : start + location["byteLength"]]

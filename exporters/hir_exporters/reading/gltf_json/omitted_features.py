@@ -42,11 +42,13 @@ def warn_of_omitted_features(material: Json, textures: GltfTextures, mesh: Asset
         found.append("vertex colours (COLOR_0)")
     if material.get("doubleSided") and is_open(mesh.positions, mesh.faces):
         found.append("the back of its open surface (doubleSided)")
+    if textures.document.get("animations"):
+        found.append("animations")
     if found:
         listed = " and ".join(filter(None, (", ".join(found[:-1]), found[-1])))
         warnings.warn(
             f"{textures.path} is read without {listed}, which cannot be represented; bake what should remain visible "
-            "into the base colour in the program that made it",
+            "into the mesh or its base colour in the program that made it",
             stacklevel=2,
         )
 
