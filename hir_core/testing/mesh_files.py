@@ -25,6 +25,14 @@ class MeshFile:
     """Names in the file, and in its material libraries, of files that are not there."""
 
 
+def surface_by_trimesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Positions (V, 3) and faces (F, 3) of a file, as trimesh reads it."""
+    import trimesh
+
+    mesh: Any = trimesh.load(path, process=False, force="mesh")
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
 def read_mesh_file(path: Path) -> MeshFile:
     """The triangles of an .obj file whose faces are triangles, or of what else trimesh reads."""
     if path.suffix.lower() == ".obj":

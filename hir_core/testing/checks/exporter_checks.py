@@ -17,7 +17,7 @@ from hir_core.plugins.registration import a_value
 from hir_core.testing.assets import constant_asset, textured_asset
 from hir_core.testing.contract import BrokenContract, NotApplicable, Subject, contract, require
 from hir_core.testing.exercise import digest
-from hir_core.testing.mesh_files import MeshFile, read_mesh_file
+from hir_core.testing.mesh_files import MeshFile, read_mesh_file, surface_by_trimesh
 
 SURFACES = (".obj", ".ply", ".stl", ".off")
 LIGHTS = (".hdr", ".exr")
@@ -135,10 +135,7 @@ def _read_by_ending(path: Path, asset: Asset) -> None:
         problems = verify_file(path, asset).problems
         require(not problems, "; ".join(problems))
     elif suffix in SURFACES:
-        import trimesh
-
-        mesh: Any = trimesh.load(path, process=False, force="mesh")
-        _same_surface(asset, np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        _same_surface(asset, *surface_by_trimesh(path))
     elif suffix in LIGHTS:
         from hir_exporters.textures.image_files import read_hdr
 

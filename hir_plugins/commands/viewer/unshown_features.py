@@ -12,7 +12,7 @@ from hir_exporters.reading.mesh_references import gltf_content, uris
 from hir_plugins.commands.viewer.three_modules import MODULES, module_source
 
 _LOADER: Final = next(module for module in MODULES if module.name.startswith("GLTFLoader"))
-_OF_NO_LOOK: Final = ("KHR_xmp_json_ld", "MSFT_lod", "MSFT_screencoverage")
+_INVISIBLE: Final = ("KHR_xmp_json_ld", "MSFT_lod", "MSFT_screencoverage")
 _LIGHT: Final = "EXT_lights_image_based"
 
 
@@ -31,7 +31,7 @@ def _unshown_features(document: Mapping[str, Any], with_light: bool) -> Iterator
     used = document.get("extensionsUsed")
     readable = module_source(_LOADER)
     for name in map(str, used if isinstance(used, list) else ()):
-        if name.encode() not in readable and name not in _OF_NO_LOOK and not (name == _LIGHT and with_light):
+        if name.encode() not in readable and name not in _INVISIBLE and not (name == _LIGHT and with_light):
             yield name[:80]
     if document.get("animations"):
         yield "animations"
