@@ -110,7 +110,6 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
             stored = [(loaded.geometry[name], to_world) for to_world, name in placed]
             stored = [(m, to_world) for m, to_world in stored if isinstance(m, trimesh.Trimesh) and len(m.faces)]
             parts: list[Any] = [mesh.copy().apply_transform(to_world) for mesh, to_world in stored]
-            normals = [_unit_normals(part, *source) for part, source in zip(parts, stored, strict=True)]
     except HirError:
         raise
     except IndexError as error:
@@ -133,7 +132,7 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return AssetMesh(
         positions=np.concatenate([part.vertices for part in parts]),
-        normals=np.concatenate(normals),
+        normals=np.concatenate([_unit_normals(part, *source) for part, source in zip(parts, stored, strict=True)]),
         uvs=np.concatenate([np.asarray(part.visual.uv) for part in parts]) * [1, -1] + [0, 1],  # v is upwards there
         faces=np.concatenate([np.asarray(p.faces) + offset for p, offset in zip(parts, offsets, strict=True)]),
     )
