@@ -14,7 +14,7 @@ ALLOWED = {
     "Image.open": {"exporters/hir_exporters/textures/pillow_images.py"},
     "trimesh.load": {
         "exporters/hir_exporters/reading/mesh_references.py",
-        "hir_core/testing/checks/exporter_checks.py",
+        "hir_core/testing/mesh_files.py",
     },
 }
 """Where a function may be called; the contract tests read files that an exporter has just written."""

@@ -69,16 +69,19 @@ def _triangles(corners: Array) -> tuple[Indices, int]:
 
 
 def _overlap(corners: Array, triangles: Indices, normals: Array) -> NDArray[np.bool_]:
-    """Which polygons (G, n, 3) have a triangle of `triangles` (T, 3) that is turned over."""
+    """Which polygons (G, n, 3) have a triangle of `triangles` (T, 3) that is turned over, or triangles that cancel."""
     at = corners[:, triangles]
     areas = np.cross(at[:, :, 1] - at[:, :, 0], at[:, :, 2] - at[:, :, 0])
     limits = -_TOLERANCE * np.square(normals).sum(axis=1)
-    return np.asarray((np.einsum("gtc,gc->gt", areas, normals) < limits[:, None]).any(axis=1))
+    turned = (np.einsum("gtc,gc->gt", areas, normals) < limits[:, None]).any(axis=1)
+    # a polygon whose halves cancel has no normal that a triangle could be turned from
+    total = np.linalg.norm(areas, axis=2).sum(axis=1)
+    return np.asarray(turned | (np.linalg.norm(normals, axis=1) < _TOLERANCE * total))
 
 
 def _clipped_ears(corners: Array, normal: Array) -> Indices | None:
     """Triangles (n - 2, 3) of one polygon (n, 3); None where it crosses itself or has too many corners."""
-    if len(corners) > MAX_CONCAVE_CORNERS:
+    if len(corners) > MAX_CONCAVE_CORNERS or not normal.any():
         return None
     plane = _projected(corners, normal)
     limit = _TOLERANCE * float(np.linalg.norm(normal))

@@ -82,8 +82,8 @@ def mesh_text(mesh: AssetMesh, library: str, name: str) -> str:
 def material_text(packed: PackedSurface, images: dict[str, str]) -> str:
     """Text of the .mtl: constants, then the images that replace them; Ns and Ks are for readers without PBR.
 
-    Beside an image, Pr and Pm are its mean, for readers that know only the constants. Kd is 1, because every reader
-    multiplies it with the image.
+    Beside an image, Pr and Pm are its mean, for readers that know only the constants. Kd is 1, because many readers
+    multiply it with the image.
     """
     roughness, metallic = packed.roughness, packed.metallic
     if packed.orm_image is not None:

@@ -37,7 +37,7 @@ class DecodedAsset:
 def decode_asset(back: ReadBack, profile: str = "khr", as_metallic: bool = True) -> DecodedAsset:
     """The asset of a file that was read back. Files of the profile `blender` are interpreted as Blender does."""
     material, interpretation = decode_material(back, profile, as_metallic)
-    return DecodedAsset(_mesh(back), material, interpretation)
+    return DecodedAsset(unindexed_mesh(back), material, interpretation)
 
 
 def decode_material(back: ReadBack, profile: str, as_metallic: bool = True) -> tuple[AssetMaterial, str]:
@@ -147,7 +147,7 @@ def _at_common_size(*values: tuple[Array, int]) -> list[Array]:
     return [resize(v, *size) if size and v.ndim - c == 2 else v for v, c in values]
 
 
-def _mesh(back: ReadBack) -> AssetMesh:
+def unindexed_mesh(back: ReadBack) -> AssetMesh:
     """One vertex for each corner; shared vertices are not restored."""
     count = 3 * len(back.corner_positions)
     return AssetMesh(

@@ -118,7 +118,7 @@ def _obj_base_colors(path: Path) -> Iterator[_BaseColor]:
 
 
 def _mtl_base_colors(library: Path) -> dict[str, _BaseColor]:
-    """Base colours by the name of the material. A picture replaces the colour Kd, as most programs mean it."""
+    """Base colours by the name of the material. A picture replaces the colour Kd (docs/formats.md)."""
     materials: dict[str, _BaseColor] = {}
     for material, statements in read_library(library).items():
         materials[material] = _BaseColor(f"the colour of {material!r}", None)

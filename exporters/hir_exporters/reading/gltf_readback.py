@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hir_exporters.asset import AssetMesh
 from hir_exporters.collision_names import is_collision_name
 from hir_exporters.errors import HirError, InputError
-from hir_exporters.reading.gltf_geometry.gltf_decompression import DECODED_EXTENSIONS, decompressed_glb
+from hir_exporters.reading.gltf_geometry.gltf_decompression import DECODED_EXTENSIONS, DRACO, decompressed_glb
 from hir_exporters.reading.gltf_geometry.gltf_mesh import CornerMesh, corner_mesh
 from hir_exporters.reading.gltf_json.gltf_surface import SurfaceOfFile, gltf_surface
 from hir_exporters.reading.gltf_json.gltf_textures import GltfTextures
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     import trimesh
     from pygltflib import GLTF2
 
-_DRACO: Final = "KHR_draco_mesh_compression"
-
 
 def read_gltf(path: Path) -> ReadBack:
     """A .glb or .gltf with one mesh and one material. Raises `InputError` where the file cannot be read."""
@@ -40,7 +38,7 @@ def read_gltf(path: Path) -> ReadBack:
         check_references(path)
         document = GLTF2().load(str(path))
         required = document.extensionsRequired or []
-        if _DRACO in required:
+        if DRACO in required:
             mesh = _draco_corner_mesh(path, document)
         elif DECODED_EXTENSIONS.isdisjoint(required):
             mesh = corner_mesh(document, path, lambda i: _gltf_buffer(document, i, path))

@@ -29,6 +29,8 @@ class MaterialOverrides:
     """0 by default."""
     normal: Path | None = None
     """Tangent space normal map, green up."""
+    normal_scale: float = 1.0
+    """Factor of x and y of its vectors, as glTF's `normalTexture.scale`."""
 
 
 _VALUE_SYNTAX: Final = {"base_color": "R,G,B", "roughness": "NUMBER", "metallic": "NUMBER"}
@@ -92,11 +94,12 @@ def _in_unit_range(value: float | tuple[float, float, float], name: str) -> Arra
     return numbers
 
 
-def load_normal_map(path: Path) -> NDArray[np.float32]:
-    """Unit vectors (H, W, 3) of a normal map, green up."""
+def load_normal_map(path: Path, scale: float = 1.0) -> NDArray[np.float32]:
+    """Unit vectors (H, W, 3) of a normal map, green up, whose x and y are multiplied by `scale` first."""
     pixels, linear = load_pixels(path)
     if pixels.shape[2] < 3:
         raise InputError(f"{path} is a grey image; a normal map has three channels")
     vectors = np.asarray(pixels[..., :3] if linear else pixels[..., :3] * 2 - 1, np.float32)
+    vectors = vectors * np.array([scale, scale, 1], np.float32)
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 1e-3, vectors / np.maximum(length, 1e-3), np.array([0, 0, 1], np.float32))

@@ -21,9 +21,10 @@ from hir_exporters.files.regular_files import check_regular_file
 from hir_exporters.materials.material_conversion import collapse_uniform_textures
 from hir_exporters.materials.surfaces import default_surface
 from hir_exporters.mesh.vertex_normals import angle_weighted_normals
-from hir_exporters.reading.asset_decoding import decode_asset, decode_surface
+from hir_exporters.reading.asset_decoding import decode_surface, unindexed_mesh
 from hir_exporters.reading.base_color_texture import ply_texture
 from hir_exporters.reading.environment_import import read_light
+from hir_exporters.reading.gltf_json.gltf_surface import SPECULAR_GLOSSINESS, SurfaceOfFile
 from hir_exporters.reading.gltf_readback import gltf_scene, read_gltf_surface, read_gltf_uvs
 from hir_exporters.reading.material_overrides import MaterialOverrides, load_color, load_normal_map, load_scalar
 from hir_exporters.reading.mesh_references import check_references, load_mesh_scene
@@ -48,20 +49,22 @@ def load_mesh_asset(path: Path, maps: MaterialOverrides | None = None, light: Pa
         raise InputError(f"{path} is not a mesh format that can be read; known are {', '.join(MESH_SUFFIXES)}")
     check_regular_file(path)
     if suffix.startswith(".usd"):
-        written = decode_asset(read_untrusted_usd(path))
-        mesh, material = written.mesh, written.material
-        if maps != MaterialOverrides():
-            raise InputError(f"{path} has its own material; textures can be given only for .obj, .ply, .glb and .gltf")
+        back = read_untrusted_usd(path)
+        mesh = unindexed_mesh(back)
+        material = _checked_material(path, maps, (back.surface, back.specular_surface, back.normal))
     elif suffix == ".obj":
         check_references(path)
         geometry = read_obj(path)
         mesh = _obj_mesh(path, geometry)
-        material = _checked_material(path, suffix, read_mtl(path, geometry, maps), mesh)
+        material = _checked_material(path, read_mtl(path, geometry, maps))
+    elif suffix == ".ply":
+        mesh = _trimesh_mesh(path)
+        texture = ply_texture(path) if maps.base_color is None else maps.base_color
+        material = _checked_material(path, replace(maps, base_color=texture))
     else:
         mesh = _trimesh_mesh(path)
-        if suffix in (".glb", ".gltf"):
-            mesh = replace(mesh, uvs=read_gltf_uvs(path, mesh.uvs))
-        material = _checked_material(path, suffix, maps, mesh)
+        mesh = replace(mesh, uvs=read_gltf_uvs(path, mesh.uvs))
+        material = _checked_material(path, maps, read_gltf_surface(path, mesh))
     material = collapse_uniform_textures(material)
     asset = Asset(mesh, material, None if light is None else read_light(light), {"made_from": path.name}, path.stem)
     try:
@@ -103,7 +106,10 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
                 loaded = gltf_scene(path, GLTF2().load(str(path)))
             else:
                 loaded = load_mesh_scene(path, process=False)
-            parts: list[Any] = [m for m in loaded.dump() if isinstance(m, trimesh.Trimesh) and len(m.faces)]
+            placed = [loaded.graph[node] for node in loaded.graph.nodes_geometry]
+            stored = [(loaded.geometry[name], to_world) for to_world, name in placed]
+            stored = [(m, to_world) for m, to_world in stored if isinstance(m, trimesh.Trimesh) and len(m.faces)]
+            parts: list[Any] = [mesh.copy().apply_transform(to_world) for mesh, to_world in stored]
     except HirError:
         raise
     except IndexError as error:
@@ -126,24 +132,29 @@ def _trimesh_mesh(path: Path) -> AssetMesh:
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return AssetMesh(
         positions=np.concatenate([part.vertices for part in parts]),
-        normals=np.concatenate([_unit_normals(part) for part in parts]),
+        normals=np.concatenate([_unit_normals(part, *source) for part, source in zip(parts, stored, strict=True)]),
         uvs=np.concatenate([np.asarray(part.visual.uv) for part in parts]) * [1, -1] + [0, 1],  # v is upwards there
         faces=np.concatenate([np.asarray(p.faces) + offset for p, offset in zip(parts, offsets, strict=True)]),
     )
 
 
-def _unit_normals(part: Any) -> Array:
-    """Vertex normals of the file, else weighted by the angles of the triangles; +Y for vertices without any."""
-    if "vertex_normals" not in part._cache:
+def _unit_normals(part: Any, stored: Any, to_world: Array) -> Array:
+    """Vertex normals of the file, else weighted by the angles of the triangles; +Y for vertices without any.
+
+    `stored` is the mesh before `to_world` (4, 4) made `part` of it, as copies in trimesh have no normals of the file.
+    """
+    linear = to_world[:3, :3]
+    if "vertex_normals" not in stored._cache or not np.linalg.det(linear):
         return angle_weighted_normals(part.vertices, np.asarray(part.faces))
-    normals = np.array(part.vertex_normals, np.float64)
+    normals = np.asarray(stored.vertex_normals, np.float64) @ np.linalg.inv(linear)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
 
 
-def _checked_material(path: Path, suffix: str, maps: MaterialOverrides, mesh: AssetMesh) -> AssetMaterial:
+def _checked_material(path: Path, maps: MaterialOverrides, found: SurfaceOfFile | None = None) -> AssetMaterial:
+    """The material `found` in the file, else the default one, with the overrides."""
     try:
-        return _material(path, suffix, maps, mesh)
+        return _material(path, maps, found)
     except HirError:
         raise
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # numbers of another type or shape
@@ -151,25 +162,23 @@ def _checked_material(path: Path, suffix: str, maps: MaterialOverrides, mesh: As
         raise InputError(f"{path}: its material cannot be read ({reason}); export it again") from error
 
 
-def _material(path: Path, suffix: str, maps: MaterialOverrides, mesh: AssetMesh) -> AssetMaterial:
-    surface, normal = default_surface(), None
-    found = read_gltf_surface(path, mesh) if suffix in (".glb", ".gltf") else None
-    if found is not None and _unset(maps):
-        material, _ = decode_surface(*found)
-        return material if maps.normal is None else replace(material, normal=load_normal_map(maps.normal))
-    if found is not None:
-        surface, _, normal = found
-    elif suffix == ".ply" and maps.base_color is None:
-        maps = replace(maps, base_color=ply_texture(path))
+def _material(path: Path, maps: MaterialOverrides, found: SurfaceOfFile | None) -> AssetMaterial:
+    surface, specular, normal = found or (default_surface(), None, None)
+    given = [value is not None for value in (maps.base_color, maps.roughness, maps.metallic)]
+    if specular is not None and any(given):
+        if not all(given):
+            name = "useSpecularWorkflow" if path.suffix.lower().startswith(".usd") else SPECULAR_GLOSSINESS
+            raise InputError(
+                f"{path} has a material of the specular workflow ({name}), which has no base colour and no metalness; "
+                "give --base-color, --roughness and --metallic, or none"
+            )
+        specular = None
     surface = replace(
         surface,
         base_color=surface.base_color if maps.base_color is None else load_color(maps.base_color),
         roughness=surface.roughness if maps.roughness is None else load_scalar(maps.roughness, "roughness"),
         metallic=surface.metallic if maps.metallic is None else load_scalar(maps.metallic, "metallic"),
     )
-    material, _ = decode_surface(surface, None, normal if maps.normal is None else load_normal_map(maps.normal))
-    return material
-
-
-def _unset(maps: MaterialOverrides) -> bool:
-    return maps.base_color is None and maps.roughness is None and maps.metallic is None
+    if maps.normal is not None:
+        normal = load_normal_map(maps.normal, maps.normal_scale)
+    return decode_surface(surface, specular, normal)[0]

@@ -10,7 +10,9 @@ from __future__ import annotations
 import base64
 import binascii
 import io
+import json
 import re
+import struct
 from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, Final
@@ -159,12 +161,17 @@ def _check_image(data: bytes, name: str) -> None:
 
 
 def gltf_content(path: Path) -> tuple[dict[str, Any], bytes]:
-    """The JSON document of a .gltf or .glb, and the binary chunk of a .glb."""
-    text, chunks = split_document(path.read_bytes())
-    document, binary = parse_json(text), chunks[8:]
+    """The JSON document of a .gltf or .glb, and the binary chunk of a .glb. Raises `InputError` for other files."""
+    try:
+        text, chunks = split_document(path.read_bytes())
+        document = parse_json(text)
+    except (json.JSONDecodeError, struct.error, UnicodeDecodeError):
+        document = None
     if not isinstance(document, dict):
-        raise InputError(f"{path} is not a glTF document; export it again")
-    return document, binary
+        raise InputError(
+            f"{path} is not a glTF file, or a damaged one; give it the ending of its own format, or export it again"
+        )
+    return document, chunks[8:]
 
 
 def uris(document: dict[str, Any]) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -92,18 +93,20 @@ def _material(
 
 
 def _completed(path: Path, name: str, material: Material, maps: MaterialOverrides) -> MaterialOverrides:
-    base_color, roughness = maps.base_color, maps.roughness
-    metallic, normal = maps.metallic, maps.normal
+    base_color, roughness, metallic = maps.base_color, maps.roughness, maps.metallic
+    normal, normal_scale = maps.normal, maps.normal_scale
     if base_color is None:
         base_color = _picture(path, material, "map_kd") or _color(material.get("kd"))
+        if isinstance(base_color, Path):
+            _warn_of_tint(material.get("kd"))
     if roughness is None:
         roughness = _picture(path, material, "map_pr") or _number(material.get("pr"))
     if metallic is None:
         metallic = _picture(path, material, "map_pm") or _number(material.get("pm"))
     if normal is None:
-        normal = _normal(path, material)
+        normal, normal_scale = _normal(path, material)
     _warn_of_left_out(path, name, material, roughness is not None)
-    return MaterialOverrides(base_color, roughness, metallic, normal)
+    return MaterialOverrides(base_color, roughness, metallic, normal, normal_scale)
 
 
 def _picture(path: Path, material: Material, keyword: str) -> Path | None:
@@ -135,30 +138,43 @@ def _existing(path: Path, statement: MtlStatement) -> Path:
     return file
 
 
-def _normal(path: Path, material: Material) -> Path | None:
-    """The normal map: that of `norm`, else that of a bump statement if its picture is one."""
-    if "norm" in material:
-        return _picture(path, material, "norm")
-    keyword = next((keyword for keyword in _BUMP if keyword in material), None)
+def _normal(path: Path, material: Material) -> tuple[Path | None, float]:
+    """The normal map and its scale: that of `norm`, else that of a bump statement if its picture is one."""
+    keyword = next((keyword for keyword in ("norm", *_BUMP) if keyword in material), None)
     if keyword is None:
-        return None
+        return None, 1.0
     statement = material[keyword]
     file = _existing(path, statement)
-    if not is_normal_map(file):
+    if keyword in _BUMP and not is_normal_map(file):
         warnings.warn(
             f"{statement.location} names {file.name!r}, a height map, which is left out; bake it into a normal map, "
             "and give that with --normal",
             stacklevel=6,
         )
-        return None
-    strength = texture_map(statement.value).options.get("-bm", ("1",))
-    if MtlStatement(" ".join(strength), statement.location).numbers() != (1.0,):
+        return None, 1.0
+    return _picture(path, material, keyword), _strength(statement)
+
+
+def _strength(statement: MtlStatement) -> float:
+    """The bump multiplier `-bm`, as which Blender writes the strength of a normal map."""
+    words = texture_map(statement.value).options.get("-bm", ("1",))
+    numbers = MtlStatement(" ".join(words), statement.location).numbers()
+    if len(numbers) != 1 or not math.isfinite(numbers[0]):
+        raise InputError(f"{statement.location} has the option -bm without a finite number; export it again")
+    return numbers[0]
+
+
+def _warn_of_tint(color: MtlStatement | None) -> None:
+    """Many programs write a grey `Kd` beside a picture that is the whole colour; one that is not grey is meant."""
+    try:
+        tinted = color is not None and len(set(color.numbers())) > 1
+    except InputError:
+        return
+    if color is not None and tinted:
         warnings.warn(
-            f"{statement.location} has the option -bm {' '.join(strength)}, which is left out; bake the normal map "
-            "with a strength of 1",
+            f"{color.location} is {color.value[:80]}, by which map_Kd is not multiplied; bake it into the picture",
             stacklevel=6,
         )
-    return _picture(path, material, keyword)
 
 
 def _color(statement: MtlStatement | None) -> tuple[float, float, float] | None:

@@ -17,7 +17,7 @@ from hir_core.plugins.registration import a_value
 from hir_core.testing.assets import constant_asset, textured_asset
 from hir_core.testing.contract import BrokenContract, NotApplicable, Subject, contract, require
 from hir_core.testing.exercise import digest
-from hir_core.testing.obj_files import ObjFile, read_obj
+from hir_core.testing.mesh_files import MeshFile, read_mesh_file, surface_by_trimesh
 
 SURFACES = (".obj", ".ply", ".stl", ".off")
 LIGHTS = (".hdr", ".exr")
@@ -104,16 +104,27 @@ def same_bytes_twice(subject: Subject) -> None:
 def reads_back(subject: Subject) -> None:
     """An independent reader finds the asset in the file: trimesh, pygltflib and pxr by the file's ending, or the
     plugin's `testing` function, `function(path) -> (positions (V, 3), faces (F, 3))`. Texture coordinates and normals
-    in an .obj file are those of the asset, with v upwards, and the files that it and its materials name are there.
+    in an .obj or .ply file are those of the asset, with v upwards, and the files that it and its materials name are
+    there. Where an .obj, .ply, .stl or .off file has no texture coordinates, normals or material, the report has a
+    warning.
     """
     for asset in _assets(subject):
-        path = _write(subject, asset, subject.folder()).files[0]
+        report = _write(subject, asset, subject.folder())
+        path = report.files[0]
         if subject.testing is not None:
             _same_surface(asset, *subject.testing(path))
             continue
         _read_by_ending(path, asset)
-        if path.suffix.lower() == ".obj":
-            _same_corners(asset, read_obj(path))
+        if path.suffix.lower() in SURFACES:
+            file = read_mesh_file(path)
+            _same_corners(asset, file)
+            has = {"texture coordinates": file.uvs is not None, "normals": file.normals is not None}
+            lost = [name for name, there in {**has, "material": file.has_material}.items() if not there]
+            require(
+                not lost or report.warnings,
+                f"the file has no {' and no '.join(lost)}, and its report has no warning; write them, or name in "
+                "`warnings` what is left out",
+            )
 
 
 def _read_by_ending(path: Path, asset: Asset) -> None:
@@ -124,10 +135,7 @@ def _read_by_ending(path: Path, asset: Asset) -> None:
         problems = verify_file(path, asset).problems
         require(not problems, "; ".join(problems))
     elif suffix in SURFACES:
-        import trimesh
-
-        mesh: Any = trimesh.load(path, process=False, force="mesh")
-        _same_surface(asset, np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        _same_surface(asset, *surface_by_trimesh(path))
     elif suffix in LIGHTS:
         from hir_exporters.textures.image_files import read_hdr
 
@@ -163,7 +171,7 @@ def _same_surface(asset: Asset, positions: np.ndarray, faces: np.ndarray) -> Non
     )
 
 
-def _same_corners(asset: Asset, file: ObjFile) -> None:
+def _same_corners(asset: Asset, file: MeshFile) -> None:
     """Texture coordinates and normals of the file at the corners of the asset's triangles, where it has them."""
     require(not file.missing, f"it names {', '.join(file.missing)}, which it does not write")
     mesh = asset.mesh

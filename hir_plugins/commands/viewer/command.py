@@ -33,10 +33,12 @@ def view_command(
     The page rotates the asset and its light and shows each material channel. It is served on the loopback interface
     only and loads nothing from the network. Press Ctrl-C to stop the server.
     """
+    from hir_core.run.python_warnings import forward_user_warnings
     from hir_plugins.commands.viewer.page_server import serve
     from hir_plugins.commands.viewer.viewer_page import view_page
 
-    page = view_page(source, light)
+    with forward_user_warnings(lambda text: click.echo(f"hir: {text}", err=True)):
+        page = view_page(source, light)
     if save is not None:
         from hir_exporters.files.atomic import write_text_atomic
 

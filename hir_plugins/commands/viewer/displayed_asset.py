@@ -15,13 +15,20 @@ from hir_exporters.light.environment_map import world_radiance
 from hir_exporters.reading.asset_decoding import decode_asset
 from hir_exporters.reading.file_verification import READERS, read_back
 from hir_exporters.reading.gltf_json.stored_accessors import check_geometry
+from hir_exporters.reading.gltf_readback import read_gltf_surface
 from hir_exporters.scene_format import load_scene
 from hir_exporters.textures.image_files import read_exr, read_hdr
 from numpy.typing import NDArray
 
 from hir_core.run.run_directory import refuse_links
+from hir_plugins.commands.viewer.unshown_features import warn_of_unshown_features
 
-COMPRESSIONS: Final = (b"KHR_draco_mesh_compression", b"EXT_meshopt_compression")
+COMPRESSIONS: Final = (
+    b"EXT_meshopt_compression",
+    b"KHR_draco_mesh_compression",
+    b"KHR_meshopt_compression",
+    b"KHR_texture_basisu",
+)
 """glTF extensions whose decoders the page does not contain."""
 
 Radiance = NDArray[np.floating]
@@ -41,7 +48,8 @@ def load_displayed_asset(source: Path) -> DisplayedAsset:
     """Reads a run directory, a scene folder or a file.
 
     An uncompressed .glb is passed on byte for byte; every other file is converted through an independent reader. The
-    light is the scene's own, or the .hdr beside the file. Raises `InputError` if the source cannot be displayed.
+    light is the scene's own, or the .hdr beside the file. One warning names what a glTF has and the page does not show.
+    Raises `InputError` if the source cannot be displayed.
     """
     if source.is_dir():
         return _scene_folder(source)
@@ -53,11 +61,14 @@ def load_displayed_asset(source: Path) -> DisplayedAsset:
         check_geometry(source)
     content = source.read_bytes() if source.suffix.lower() == ".glb" else None
     if content is not None and not any(name in content for name in COMPRESSIONS):
+        warn_of_unshown_features(source, with_light=radiance is not None)
         return DisplayedAsset(source.stem, content, radiance)
     if source.suffix.lower() not in READERS:
         readable = ", ".join(READERS)
         raise InputError(f"{source} cannot be displayed; supported are runs, scene folders and the formats {readable}")
     asset = decode_asset(read_back(source, untrusted=True))
+    if source.suffix.lower() in (".glb", ".gltf"):
+        read_gltf_surface(source, asset.mesh)  # for its warning
     environment = None if radiance is None else AssetEnvironment(radiance)
     return _as_glb(Asset(asset.mesh, asset.material, environment, name=source.stem))
 

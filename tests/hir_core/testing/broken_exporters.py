@@ -7,9 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hir_exporters.asset import Asset
+from hir_exporters.asset import Asset, AssetMesh, validate_asset
 from hir_exporters.exporter import Edit, Exporter, ExportReport
+from hir_exporters.files.atomic import write_bytes_atomic
 from hir_exporters.format_options import ObjConfig, UsdConfig
+from hir_exporters.mesh.ply_format import encode_ply
 from hir_exporters.obj.obj_exporter import ObjExporter
 from hir_exporters.usd.usd_exporter import UsdExporter
 
@@ -92,6 +94,44 @@ class NamesNoMaterials(Rewritten):
         return "mtllib no_such_library.mtl" if line.startswith("mtllib") else line
 
 
+class OnlyPositions(Rewritten):
+    def changed(self, line: str) -> str:
+        word, *corners = line.split() or [""]
+        left_out = word in ("vt", "vn", "mtllib")
+        return "" if left_out else f"f {' '.join(c.split('/')[0] for c in corners)}" if word == "f" else line
+
+
+class Ply(Exporter):
+    """Positions, normals and texture coordinates."""
+
+    warnings: tuple[str, ...] = ("the material is not written",)
+
+    def __init__(self, config: ObjConfig) -> None:
+        pass
+
+    def mesh(self, mesh: AssetMesh) -> AssetMesh:
+        return mesh
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        validate_asset(asset)
+        write_bytes_atomic(destination, encode_ply(self.mesh(asset.mesh)))
+        return ExportReport((destination,), self.warnings)
+
+
+class PlyDownwardV(Ply):
+    def mesh(self, mesh: AssetMesh) -> AssetMesh:
+        return replace(mesh, uvs=mesh.uvs * [1, -1] + [0, 1])
+
+
+class PlyInwardNormals(Ply):
+    def mesh(self, mesh: AssetMesh) -> AssetMesh:
+        return replace(mesh, normals=-mesh.normals)
+
+
+class PlyWithoutAWord(Ply):
+    warnings = ()
+
+
 class OneWarning(Obj):
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
         return replace(super().write(asset, destination, edit), warnings="roughness is not written")  # type: ignore[arg-type]
@@ -134,6 +174,10 @@ class Invalid(Usd):
 
 def obj(implementation: type = Obj) -> Component:
     return made("obj", implementation, ObjConfig, "OBJ, wrapped.")
+
+
+def ply(implementation: type = Ply) -> Component:
+    return made("ply", implementation, ObjConfig, "PLY.")
 
 
 def usda(implementation: type = Usd) -> Component:

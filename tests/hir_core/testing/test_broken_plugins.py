@@ -45,6 +45,7 @@ SOUND = [
     ("mask_source", broken_inputs.mask_source()),
     ("initializer", broken_initializers.surface()),
     ("exporter", broken_exporters.obj()),
+    ("exporter", broken_exporters.ply()),
     ("exporter", broken_exporters.usda()),
 ]
 

@@ -43,7 +43,8 @@ REGULARIZERS = [
     (made(broken_regularizers.WithoutArgument), FINITE, "cannot be called with the scene alone: too many positional"),
 ]
 RESULT, MASKS, BACK = "returns_capture_and_scene", "masks_are_the_true_ones", "reads_back"
-surface, mask_source, obj = broken_initializers.surface, broken_inputs.mask_source, broken_exporters.obj
+surface, mask_source = broken_initializers.surface, broken_inputs.mask_source
+obj, ply = broken_exporters.obj, broken_exporters.ply
 INITIALIZERS = [
     (surface(broken_initializers.InsideOut), RESULT, "its triangles face inwards"),
     (surface(broken_initializers.FromOne), RESULT, "triangles name the vertices 1 … "),
@@ -65,6 +66,10 @@ SOURCES = [
 EXPORTERS = [
     (obj(broken_exporters.DownwardV), BACK, "texture coordinates of a corner are off by"),
     (obj(broken_exporters.InwardNormals), BACK, "normals of a corner are off by 2"),
+    (obj(broken_exporters.OnlyPositions), BACK, "has no texture coordinates and no normals and no material, and its"),
+    (ply(broken_exporters.PlyDownwardV), BACK, "texture coordinates of a corner are off by"),
+    (ply(broken_exporters.PlyInwardNormals), BACK, "normals of a corner are off by 2"),
+    (ply(broken_exporters.PlyWithoutAWord), BACK, "the file has no material, and its report has no warning"),
     (obj(broken_exporters.NamesNoPicture), BACK, "it names no_such_picture.png, which it does not write"),
     (obj(broken_exporters.NamesNoMaterials), BACK, "it names no_such_library.mtl, which it does not write"),
     (obj(broken_exporters.OneWarning), BACK, "write a tuple of sentences"),

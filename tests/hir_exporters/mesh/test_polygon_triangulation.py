@@ -35,7 +35,15 @@ def test_polygons_keep_their_order_and_numbers() -> None:
     assert triangles[:3].tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]] and triangles[-1].tolist() == [14, 16, 17]
 
 
-@pytest.mark.parametrize("outline", [[(0, 0), (4, 0), (0, 4), (5, 4)], [(0, 0), (4, 0), (4, 4), (2, -2), (0, 4)]])
+@pytest.mark.parametrize(
+    "outline",
+    [
+        [(0, 0), (4, 0), (0, 4), (5, 4)],
+        [(0, 0), (4, 0), (4, 4), (2, -2), (0, 4)],
+        [(0, 0), (4, 0), (0, 4), (4, 4)],  # the signed areas of its halves cancel
+        [(-2, -1), (2, 1), (3, 0), (2, -1), (-2, 1), (-3, 0)],  # so do these
+    ],
+)
 def test_polygons_that_cross_themselves_are_a_fan_and_counted(outline: list[tuple[float, float]]) -> None:
     crossed = np.pad(np.array(outline, float), ((0, 0), (0, 1)))
     square = np.array([(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)], float)
@@ -43,6 +51,11 @@ def test_polygons_that_cross_themselves_are_a_fan_and_counted(outline: list[tupl
     triangles, polygons, overlapping = triangulate(np.array([count, 4]), np.concatenate([crossed, square]))
     assert overlapping == 1 and polygons.tolist() == [0] * (count - 2) + [1, 1]
     assert sorted(set(triangles.ravel().tolist())) == list(range(count + 4))
+
+
+def test_a_polygon_without_an_area_does_not_cross_itself() -> None:
+    line = np.array([(0, 0, 0), (1, 1, 0), (3, 3, 0), (2, 2, 0)], float)
+    assert triangulate(np.array([4, 4]), np.concatenate([line, 0 * line]))[2] == 0
 
 
 def test_a_concave_polygon_of_very_many_corners_is_a_fan_and_counted() -> None:

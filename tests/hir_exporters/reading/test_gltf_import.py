@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import warnings
 from pathlib import Path
 from typing import Any
@@ -14,10 +16,11 @@ from hir_exporters.errors import InputError
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
 from hir_exporters.reading.gltf_readback import read_gltf
+from hir_exporters.reading.material_overrides import MaterialOverrides
 from hir_exporters.reading.mesh_import import load_mesh_asset
 from PIL import Image
 
-from tests.fixtures.gltf_quads import UVS, png, textured, write_quad
+from tests.fixtures.gltf_quads import FACES, POSITIONS, UVS, png, textured, write_quad
 
 Json = dict[str, Any]
 
@@ -110,6 +113,48 @@ def test_vertex_colours_are_named_unless_they_are_white(colors: np.ndarray, name
     assert any("vertex colours" in sentence for sentence in warned(path)) is named
 
 
+def _compressed(path: Path, extension: str) -> None:
+    """Compresses the colours of `path`, 8 bits for each of 4 channels, or with Draco the whole mesh."""
+    document = json.loads(path.read_text())
+    (primitive,), views = document["meshes"][0]["primitives"], document["bufferViews"]
+    data = base64.b64decode(document["buffers"][0]["uri"].partition(",")[2])
+    view = views[document["accessors"][primitive["attributes"]["COLOR_0"]]["bufferView"]]
+    colors = np.frombuffer(data, np.uint8, 16, view["byteOffset"]).reshape(4, 4)
+    if extension == "EXT_meshopt_compression":
+        import meshopt
+
+        stream = bytes(meshopt.encode_gltf_buffer(colors, mode="ATTRIBUTES"))
+        location = {"buffer": 1, "byteLength": len(stream), "byteStride": 4, "count": 4, "mode": "ATTRIBUTES"}
+        view["extensions"] = {extension: location}
+    else:
+        import DracoPy
+
+        stream = DracoPy.encode(
+            POSITIONS, FACES.reshape(-1, 3), colors=colors, tex_coord=UVS.astype(float), preserve_order=True
+        )
+        kinds = {a["attribute_type"]: a["unique_id"] for a in DracoPy.decode(stream).attributes}
+        names = {"POSITION": 0, "COLOR_0": 2, "TEXCOORD_0": 3}
+        del primitive["attributes"]["NORMAL"]
+        for index in (primitive["indices"], *primitive["attributes"].values()):
+            del document["accessors"][index]["bufferView"]
+        attributes = {name: kinds[kind] for name, kind in names.items()}
+        primitive["extensions"] = {extension: {"bufferView": len(views), "attributes": attributes}}
+        views.append({"buffer": 1, "byteLength": len(stream)})
+    uri = "data:application/octet-stream;base64," + base64.b64encode(stream).decode()
+    document["buffers"].append({"byteLength": len(stream), "uri": uri})
+    document["extensionsRequired"] = document["extensionsUsed"] = [extension]
+    path.write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize("extension", ["EXT_meshopt_compression", "KHR_draco_mesh_compression"])
+@pytest.mark.parametrize("code", [255, 254])
+def test_compressed_colours_are_named_unless_they_are_white(code: int, extension: str, tmp_path: Path) -> None:
+    colors = np.full((4, 4), code, np.uint8)
+    path = write_quad(tmp_path / "a.gltf", textured(), [IMAGE], {"COLOR_0": colors})
+    _compressed(path, extension)
+    assert any("vertex colours" in sentence for sentence in warned(path)) is (code != 255)
+
+
 def test_a_closed_surface_needs_no_back(textured_asset: Asset, tmp_path: Path) -> None:
     """That of the fixture is a sphere, whose seam has a vertex for each side."""
     from pygltflib import GLTF2
@@ -149,6 +194,17 @@ def test_the_scale_of_a_normal_map_is_that_of_its_tangents(scale: float, tmp_pat
     np.testing.assert_allclose(normal, expected / np.linalg.norm(expected, axis=-1, keepdims=True), atol=1e-6)
 
 
+@pytest.mark.parametrize("scale", [[2, 1, 1], [1, 1, -1], [1, 0, 1]])
+def test_normals_are_turned_as_planes(scale: list[int], tmp_path: Path) -> None:
+    """By the inverse transpose; those of a mesh without a thickness are of its triangles, which have no area."""
+    normals = np.tile(np.array([0.6, 0, 0.8], np.float32), (4, 1))
+    changes = {"nodes": [{"mesh": 0, "scale": scale}]}
+    path = write_quad(tmp_path / "a.glb", {}, attributes={"NORMAL": normals}, changes=changes)
+    expected = np.array([0, 1, 0]) if 0 in scale else np.array([0.6, 0, 0.8]) / scale
+    found = load_mesh_asset(path).mesh.normals
+    np.testing.assert_allclose(found, np.tile(expected / np.linalg.norm(expected), (4, 1)), atol=1e-6)
+
+
 def test_materials_count_that_placed_triangles_have(tmp_path: Path) -> None:
     red, plain = textured(baseColorFactor=[1, 0, 0, 1]), textured()
     path = write_quad(tmp_path / "a.glb", None, [IMAGE])
@@ -183,6 +239,22 @@ def test_a_material_has_the_defaults_of_gltf(tmp_path: Path) -> None:
     assert found is not None
     np.testing.assert_array_equal([*found.diffuse, *found.specular, found.roughness], [1, 1, 1, 1, 1, 1, 0])
     load_mesh_asset(tmp_path / "a.glb")
+
+
+OVERRIDES = MaterialOverrides(base_color=(0.5, 0.25, 0.125), roughness=0.5, metallic=0.0)
+
+
+@pytest.mark.parametrize("name", ["base_color", "roughness", "metallic"])
+def test_a_specular_workflow_is_replaced_as_a_whole(name: str, tmp_path: Path) -> None:
+    path = write_quad(tmp_path / "a.glb", {"extensions": {"KHR_materials_pbrSpecularGlossiness": {}}})
+    one = MaterialOverrides(**{name: getattr(OVERRIDES, name)})
+    with pytest.raises(
+        InputError, match=r"a\.glb has .* \(KHR_materials_pbrSpecularGlossiness\), .*; give --base-color"
+    ):
+        load_mesh_asset(path, one)
+    material = load_mesh_asset(path, OVERRIDES).material
+    np.testing.assert_allclose(material.diffuse_albedo, [0.5, 0.25, 0.125], atol=1e-3)
+    np.testing.assert_allclose(material.specular_albedo, 0.04, atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", ["glb", "gltf"])

@@ -10,11 +10,16 @@ from hir_exporters.conventions import linear_to_srgb, srgb_to_linear
 from hir_exporters.errors import InputError
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
+from hir_exporters.mesh.ply_format import encode_ply
 from hir_exporters.reading.file_verification import verify_file
+from hir_exporters.reading.gltf_json.stored_accessors import check_geometry
+from hir_exporters.reading.gltf_readback import read_gltf
 from hir_exporters.reading.material_overrides import MaterialOverrides, parse_material_override
 from hir_exporters.reading.mesh_import import load_mesh_asset
 from hir_exporters.textures.image_files import write_png
 from pygltflib import GLTF2
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def corners(asset: Asset) -> np.ndarray:
@@ -37,6 +42,22 @@ def test_an_exported_core_material_comes_back(textured_asset: Asset, suffix: str
     np.testing.assert_allclose(back.material.specular_albedo, 0.04, atol=1e-5)
     assert back.material.normal is not None
     assert back.provenance == {"made_from": f"x.{suffix}"}
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "glb", "gltf", "usda"])
+def test_normals_are_those_of_the_file(constant_asset: Asset, suffix: str, tmp_path: Path) -> None:
+    """Others than those of a smooth surface."""
+    normals = constant_asset.mesh.normals + np.array([0.5, 0, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    asset = dataclasses.replace(constant_asset, mesh=dataclasses.replace(constant_asset.mesh, normals=normals))
+    if suffix == "ply":
+        (tmp_path / "x.ply").write_bytes(encode_ply(asset.mesh))
+    else:
+        create_exporter(suffix).write(asset, tmp_path / f"x.{suffix}")
+    back = load_mesh_asset(tmp_path / f"x.{suffix}")
+    order = [np.lexsort(corners(a).reshape(len(a.mesh.faces), -1).round(5).T) for a in (asset, back)]
+    actual, expected = (a.mesh.normals[a.mesh.faces][o] for a, o in zip((back, asset), order[::-1], strict=True))
+    np.testing.assert_allclose(actual, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("suffix", ["glb", "gltf"])
@@ -85,7 +106,7 @@ def test_maps_and_light_by_hand(textured_asset: Asset, tmp_path: Path) -> None:
     np.testing.assert_allclose(plain.material.diffuse_albedo, [0.2, 0.3, 0.4], rtol=1e-6)
 
 
-def test_bad_input_names_file_and_field(textured_asset: Asset, tmp_path: Path) -> None:
+def test_bad_input_names_file_and_field(tmp_path: Path) -> None:
     (tmp_path / "bare.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "empty.obj").write_text("v 0 0 0\n")
     (tmp_path / "nan.obj").write_text("v nan 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
@@ -109,9 +130,17 @@ def test_bad_input_names_file_and_field(textured_asset: Asset, tmp_path: Path) -
         parse_material_override("base_color", "lost.png")
     with pytest.raises(InputError, match="normal"):
         parse_material_override("normal", "0.5")
-    create_exporter("usda").write(textured_asset, tmp_path / "x.usda")
-    with pytest.raises(InputError, match="its own material"):
-        load_mesh_asset(tmp_path / "x.usda", MaterialOverrides(roughness=0.5))
+
+
+@pytest.mark.parametrize("content", [b"", b"plain text", b"glTF", b"[1]", PNG_SIGNATURE, b"glTF" + bytes(16)])
+@pytest.mark.parametrize("suffix", ["glb", "gltf"])
+def test_a_file_that_is_no_gltf_is_one_plain_sentence(content: bytes, suffix: str, tmp_path: Path) -> None:
+    file = tmp_path / f"a.{suffix}"
+    file.write_bytes(content)
+    for read in (load_mesh_asset, read_gltf, check_geometry):
+        with pytest.raises(InputError) as caught:
+            read(file)
+        assert str(caught.value).startswith(f"{file} is not a glTF file, or a damaged one; give it the ending of its")
 
 
 def test_the_texture_of_a_ply_is_its_base_colour(tmp_path: Path) -> None:

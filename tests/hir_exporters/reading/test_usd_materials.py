@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hir_exporters.conventions import srgb_to_linear
 from hir_exporters.errors import InputError
+from hir_exporters.reading.material_overrides import MaterialOverrides
 from hir_exporters.reading.mesh_import import load_mesh_asset
 from hir_exporters.reading.usd_reading.usd_readback import read_usd
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
@@ -168,6 +169,17 @@ def test_the_specular_workflow_is_read(tmp_path: Path) -> None:
 
     specular = read_usd(write_box(tmp_path, edit)).specular_surface
     assert specular is not None and specular.specular.tolist() == [0.5, 0.25, 0.125]
+    with pytest.raises(InputError, match=r"box\.usda has .* \(useSpecularWorkflow\), .*; give --base-color, "):
+        load_mesh_asset(tmp_path / "box.usda", MaterialOverrides(roughness=0.5))
+
+
+def test_overrides_replace_parameters_of_the_file(tmp_path: Path) -> None:
+    path = write_box(tmp_path)
+    material = load_mesh_asset(path, MaterialOverrides(roughness=0.5)).material
+    np.testing.assert_allclose(material.roughness, 0.25, rtol=1e-6)
+    np.testing.assert_allclose(material.diffuse_albedo, LINEAR, atol=1e-5)
+    material = load_mesh_asset(path, MaterialOverrides(base_color=(0.2, 0.3, 0.4))).material
+    np.testing.assert_allclose(material.diffuse_albedo, [0.2, 0.3, 0.4], rtol=1e-6)
 
 
 def test_a_transform_of_the_texture_moves_the_coordinates(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from tests.hir_exporters.reading.usd_samples import (
     NORMALS,
     POINTS,
+    QUADS,
     SIZE,
     ST,
     add_box,
@@ -187,6 +188,42 @@ def test_a_subdivision_surface_is_its_control_cage(
         warnings.simplefilter("always")
         assert volume(read_usd(path).corner_positions) == pytest.approx(6)
     assert [("control cage" in str(warning.message)) for warning in caught] == [True] * warned
+
+
+def test_the_creases_of_a_subdivision_surface_are_named(tmp_path: Path) -> None:
+    def edit(stage: Usd.Stage) -> None:
+        box_of(stage).GetPrim().RemoveProperty("subdivisionScheme")
+        box_of(stage).CreateCreaseIndicesAttr([0, 1])
+        box_of(stage).CreateCreaseLengthsAttr([2])
+        box_of(stage).CreateCreaseSharpnessesAttr([10.0])
+
+    with pytest.warns(
+        UserWarning, match=r"is a subdivision surface \(catmullClark with creases\), of which the control"
+    ):
+        read_usd(write_box(tmp_path, edit))
+
+
+@pytest.mark.parametrize("triangles", [False, True])
+def test_holes_are_left_out(triangles: bool, tmp_path: Path) -> None:
+    def edit(stage: Usd.Stage) -> None:
+        box = box_of(stage)
+        if triangles:
+            corners = np.arange(24).reshape(6, 4)[:, [0, 1, 2, 0, 2, 3]].ravel()
+            box.GetFaceVertexIndicesAttr().Set([QUADS[corner // 4][corner % 4] for corner in corners])
+            box.GetFaceVertexCountsAttr().Set([3] * 12)
+            box.GetNormalsAttr().Set([NORMALS[corner // 4] for corner in corners])
+            UsdGeom.PrimvarsAPI(box).GetPrimvar("st").Set([ST[corner] for corner in corners])
+        box.CreateHoleIndicesAttr([2, 3] if triangles else [1])
+
+    back = read_usd(write_box(tmp_path, edit))
+    assert back.corner_positions.shape == (10, 3, 3)
+    assert not (back.corner_normals == NORMALS[1]).all(axis=-1).any() and back.corner_positions.max() == 3
+
+
+def test_a_mesh_of_holes_is_refused(tmp_path: Path) -> None:
+    path = write_box(tmp_path, lambda stage: box_of(stage).CreateHoleIndicesAttr(list(range(6))))
+    with pytest.raises(InputError, match=r"box.usda: mesh.faces contains no triangles \(its polygons are holes"):
+        read_usd(path)
 
 
 def test_meshes_of_one_material_are_joined(tmp_path: Path) -> None:

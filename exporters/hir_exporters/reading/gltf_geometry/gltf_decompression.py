@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -15,6 +15,7 @@ from hir_exporters.errors import ExportError, InputError
 if TYPE_CHECKING:
     from pygltflib import GLTF2
 
+DRACO: Final = "KHR_draco_mesh_compression"
 MESHOPT: Final = "EXT_meshopt_compression"
 DECODED_EXTENSIONS: Final = frozenset({MESHOPT, "KHR_mesh_quantization"})
 """Extensions that `decompressed_glb` removes."""
@@ -32,7 +33,7 @@ def decompressed_glb(document: GLTF2, buffer: Callable[[int], bytes]) -> bytes:
     `ExportError` where the library meshopt is missing.
     """
     plain = json.loads(document.gltf_to_json())
-    parts = [_content(view, buffer) for view in plain["bufferViews"]]
+    parts = [view_content(view, buffer) for view in plain["bufferViews"]]
     for accessor in plain["accessors"]:
         if accessor.get("normalized"):
             view = plain["bufferViews"][accessor["bufferView"]]
@@ -43,6 +44,7 @@ def decompressed_glb(document: GLTF2, buffer: Callable[[int], bytes]) -> bytes:
     padded = [part + bytes(-len(part) % 4) for part in parts]
     start = 0
     for view, part in zip(plain["bufferViews"], padded, strict=True):
+        view.pop("extensions", None)
         view |= {"buffer": 0, "byteOffset": start}
         start += len(part)
     plain["buffers"] = [{"byteLength": start}]
@@ -56,9 +58,9 @@ def decompressed_glb(document: GLTF2, buffer: Callable[[int], bytes]) -> bytes:
     )
 
 
-def _content(view: dict[str, Any], buffer: Callable[[int], bytes]) -> bytes:
-    """The decoded bytes of a buffer view; removes the view's extension."""
-    compression = view.pop("extensions", {}).get(MESHOPT)
+def view_content(view: Mapping[str, Any], buffer: Callable[[int], bytes]) -> bytes:
+    """The bytes of a buffer view without its compression. Raises as `decompressed_glb`."""
+    compression = (view.get("extensions") or {}).get(MESHOPT)
     location = compression or view
     start = location.get("byteOffset", 0)
     stored = buffer(location["buffer"])[start : start + location["byteLength"]]

@@ -7,9 +7,11 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hir_exporters.asset import AssetMesh
 from hir_exporters.mesh.open_surface import is_open
+from hir_exporters.reading.gltf_geometry.gltf_decompression import DRACO, view_content
 from hir_exporters.reading.gltf_json.gltf_surface import SPECULAR_GLOSSINESS, UNLIT, texture_references
 from hir_exporters.reading.gltf_json.gltf_textures import GltfTextures, image_source
 from hir_exporters.reading.gltf_json.stored_accessors import Json, buffers_of, stored_values
@@ -40,11 +42,13 @@ def warn_of_omitted_features(material: Json, textures: GltfTextures, mesh: Asset
         found.append("vertex colours (COLOR_0)")
     if material.get("doubleSided") and is_open(mesh.positions, mesh.faces):
         found.append("the back of its open surface (doubleSided)")
+    if textures.document.get("animations"):
+        found.append("animations")
     if found:
         listed = " and ".join(filter(None, (", ".join(found[:-1]), found[-1])))
         warnings.warn(
             f"{textures.path} is read without {listed}, which cannot be represented; bake what should remain visible "
-            "into the base colour in the program that made it",
+            "into the mesh or its base colour in the program that made it",
             stacklevel=2,
         )
 
@@ -54,15 +58,26 @@ def _has_vertex_colors(textures: GltfTextures) -> bool:
     document = textures.document
     buffer = buffers_of(textures.path, document, textures.binary)
     return any(
-        not _is_white(document, primitive["attributes"]["COLOR_0"], buffer)
+        not _is_white(_vertex_colors(document, primitive, buffer))
         for primitive in placed_primitives(document)
         if "COLOR_0" in primitive["attributes"]
     )
 
 
-def _is_white(document: Json, accessor: int, buffer: Callable[[int], bytes]) -> bool:
-    """False, too, for compressed colours, which are not decoded here."""
-    values = stored_values(document, accessor, buffer)
+def _vertex_colors(document: Json, primitive: Json, buffer: Callable[[int], bytes]) -> NDArray[Any] | None:
+    """Colours (N, 3 or 4) as they are stored, or would be without compression; None for sparse ones."""
+    compressed = (primitive.get("extensions") or {}).get(DRACO, {})
+    identifier = compressed.get("attributes", {}).get("COLOR_0")
+    if identifier is None:
+        return stored_values(document, primitive["attributes"]["COLOR_0"], buffer, decompress=True)
+    import DracoPy
+
+    stream = view_content(document["bufferViews"][compressed["bufferView"]], buffer)
+    attributes: Any = DracoPy.decode(stream).attributes
+    return next((a["data"] for a in attributes if a["unique_id"] == identifier), None)
+
+
+def _is_white(values: NDArray[Any] | None) -> bool:
     if values is None:
         return False
     white = 1.0 if values.dtype.kind == "f" else np.iinfo(values.dtype).max

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hir_exporters.errors import HirError, InputError
+from hir_exporters.reading.gltf_geometry.gltf_decompression import view_content
 from hir_exporters.reading.mesh_references import gltf_content, uri_bytes
 
 _COMPONENTS: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -38,22 +39,22 @@ def buffers_of(path: Path, document: Json, binary: bytes) -> Buffer:
     return content
 
 
-def stored_values(document: Json, index: int, buffer: Buffer) -> NDArray[Any] | None:
+def stored_values(document: Json, index: int, buffer: Buffer, decompress: bool = False) -> NDArray[Any] | None:
     """Values (N, C) of an accessor as they are stored (glTF 2.0, section 3.6.2).
 
-    None where they are not simply there: compressed, sparse, or all 0 by definition.
+    None where they are not simply there: sparse, all 0 by definition, or, without `decompress`, in a compressed view.
     """
     accessor = document["accessors"][index]
     if accessor.get("bufferView") is None or accessor.get("sparse") is not None:
         return None
     view = document["bufferViews"][accessor["bufferView"]]
-    if view.get("extensions"):
+    if view.get("extensions") and not decompress:
         return None
     kind, width = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    start = accessor.get("byteOffset", 0)
     strides = (view.get("byteStride") or width * kind.itemsize, kind.itemsize)
     # numpy refuses a buffer that is too short
-    values: NDArray[Any] = np.ndarray((accessor["count"], width), kind, buffer(view["buffer"]), start, strides)
+    values: NDArray[Any] = np.ndarray((accessor["count"], width), kind, view_content(view, buffer), start, strides)
     return values
 
 

@@ -122,6 +122,8 @@ def _topology(mesh: UsdGeom.Mesh, points: Array, flipped: bool, path: Path) -> _
             "program that made it",
             stacklevel=4,
         )
+    shown = ~np.isin(polygons, _values(mesh.GetHoleIndicesAttr(), np.int64))
+    corners, polygons = corners[shown], polygons[shown]
     if flipped:
         corners = corners[:, [0, 2, 1]]
     sizes = {
@@ -131,7 +133,7 @@ def _topology(mesh: UsdGeom.Mesh, points: Array, flipped: bool, path: Path) -> _
         "vertex": len(points),
         "faceVarying": len(indices),
     }
-    in_order = triangular and not flipped
+    in_order = triangular and not flipped and bool(shown.all())
     points_of_corners = indices.reshape(-1, 3) if in_order else indices[corners]
     return _Topology(name, path, sizes, points_of_corners, corners, polygons, in_order)
 
@@ -148,12 +150,16 @@ def _authored_normals(mesh: UsdGeom.Mesh, name: str, path: Path) -> tuple[Array 
 
 
 def _warn_of_subdivision(mesh: UsdGeom.Mesh, has_normals: bool, path: Path) -> None:
-    """A mesh with normals whose scheme is not written is polygonal: `catmullClark` is only the schema's default."""
+    """A mesh with normals and without creases whose scheme is not written is polygonal: `catmullClark` is only the
+    schema's default.
+    """
     attribute = mesh.GetSubdivisionSchemeAttr()
-    if attribute.Get() != "none" and (attribute.HasAuthoredValue() or not has_normals):
+    creased = any(_values(a, np.int64).size for a in (mesh.GetCreaseIndicesAttr(), mesh.GetCornerIndicesAttr()))
+    if attribute.Get() != "none" and (attribute.HasAuthoredValue() or creased or not has_normals):
         warnings.warn(
-            f"{path}: the mesh {mesh.GetPath()} is a subdivision surface ({attribute.Get()}), of which the control "
-            "cage is read; subdivide it first, or set its subdivisionScheme to none",
+            f"{path}: the mesh {mesh.GetPath()} is a subdivision surface ({attribute.Get()}"
+            f"{' with creases' if creased else ''}), of which the control cage is read; subdivide it first, or set its "
+            "subdivisionScheme to none",
             stacklevel=4,
         )
 

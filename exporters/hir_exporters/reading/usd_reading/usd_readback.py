@@ -69,6 +69,10 @@ def _read_stage(stage: Usd.Stage, path: Path, in_meters: bool) -> ReadBack:
         total += 3 * len(parts[-1].positions)
         if total > _MAX_CORNERS:
             raise InputError(f"{path} has more than {_MAX_CORNERS} corners in all its meshes; reduce them first")
+    if not total:
+        raise InputError(
+            f"{path}: mesh.faces contains no triangles (its polygons are holes or have fewer than three corners)"
+        )
     if len(parts) > 1:
         parts = [CornerMesh(*(np.concatenate(values) for values in zip(*parts, strict=True)))]
     _warn_of_left_out(meshes, bound is None, path)

@@ -152,8 +152,33 @@ def test_a_height_map_is_left_out_with_a_warning(tmp_path: Path) -> None:
     normal_map(tmp_path, "n.png")
     given = material_of(tmp_path, "newmtl a\nmap_Bump h.png\n", maps=MaterialOverrides(normal=tmp_path / "n.png"))
     assert given.normal is not None, "and no warning, which would be an error here"
-    with pytest.warns(UserWarning, match=r"option -bm 0\.5, which is left out"):
-        assert material_of(tmp_path, "newmtl a\nbump -bm 0.5 n.png\n").normal is not None
+
+
+@pytest.mark.parametrize("statement", ["bump", "norm"])
+@pytest.mark.parametrize("strength", [0.5, 2.0])
+def test_the_bump_multiplier_scales_a_normal_map(strength: float, statement: str, tmp_path: Path) -> None:
+    normal_map(tmp_path, "n.png")
+    plain = material_of(tmp_path, "newmtl a\nnorm n.png\n").normal
+    scaled = material_of(tmp_path, f"newmtl a\n{statement} -bm {strength} n.png\n").normal
+    assert plain is not None and scaled is not None
+    expected = plain * [strength, strength, 1]
+    np.testing.assert_allclose(scaled, expected / np.linalg.norm(expected, axis=-1, keepdims=True), atol=1e-5)
+    for wrong in ("nan", "x"):
+        with pytest.raises(InputError, match=rf"line 2: {statement} "):
+            material_of(tmp_path, f"newmtl a\n{statement} -bm {wrong} n.png\n")
+
+
+@pytest.mark.parametrize(("color", "named"), [("0.6 0.6 0.6", False), ("0 0 0", False), ("0.6 0.6 1", True)])
+def test_a_picture_replaces_the_colour_and_a_tint_is_named(color: str, named: bool, tmp_path: Path) -> None:
+    write_png(tmp_path / "t.png", CODES)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        material = material_of(tmp_path, f"newmtl a\nKd {color}\nmap_Kd t.png\n")
+    np.testing.assert_allclose(material.diffuse_albedo, srgb_to_linear(CODES / 255), atol=1e-6)
+    sentence = (
+        f"{tmp_path / 'a.mtl'}, line 2: Kd is {color}, by which map_Kd is not multiplied; bake it into the picture"
+    )
+    assert [str(warning.message) for warning in found] == [sentence] * named
 
 
 @pytest.mark.parametrize(

@@ -1,16 +1,21 @@
-"""Files with broken geometry are one sentence in place of an empty page."""
+"""Files of other programs: what is wrong with them or not shown is one sentence in place of an empty page."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hir_exporters.format_options import GltfConfig
+from hir_exporters.formats import create_exporter
+from PIL import Image
 
 from hir_core.cli import main
 from hir_core.errors import InputError
 from hir_plugins.commands.viewer.displayed_asset import load_displayed_asset
-from tests.fixtures.gltf_quads import FACES, POSITIONS, UVS, write_quad
+from tests.fixtures.gltf_quads import FACES, POSITIONS, UVS, png, textured, write_quad
+from tests.fixtures.octant_asset import asset
 
 NAN = POSITIONS + np.array([np.nan, 0, 0], np.float32)
 
@@ -44,3 +49,47 @@ def test_the_command_ends_without_a_page(tmp_path: Path, capsys: pytest.CaptureF
 def test_a_sound_file_is_passed_on(tmp_path: Path) -> None:
     path = write_quad(tmp_path / "a.glb", {}, faces=FACES)
     assert load_displayed_asset(path).glb == path.read_bytes()
+
+
+FOREIGN = {"extensionsUsed": ["KHR_materials_clearcoat", "ACME_glow"], "animations": [{"channels": [], "samplers": []}]}
+
+
+def test_what_the_page_does_not_show_is_one_warning(tmp_path: Path) -> None:
+    image = [{"uri": "beside.png"}]
+    path = write_quad(tmp_path / "a.glb", textured(), changes=FOREIGN | {"images": image, "textures": [{"source": 0}]})
+    with pytest.warns(UserWarning) as found:
+        load_displayed_asset(path)
+    (sentence,) = [str(warning.message) for warning in found]
+    features = "ACME_glow, animations, the file 'beside.png' beside it"
+    assert sentence.startswith(f"{path} is shown without {features}, which the page cannot show; bake what")
+
+
+def test_what_a_converted_file_loses_is_one_warning(tmp_path: Path) -> None:
+    coat = {"extensions": {"KHR_materials_clearcoat": {"clearcoatFactor": 1}}}
+    path = write_quad(tmp_path / "a.gltf", coat, changes=FOREIGN)
+    words = r"a\.gltf is read without clear coat \(KHR_materials_clearcoat\) and animations, which"
+    with pytest.warns(UserWarning, match=words) as found:
+        load_displayed_asset(path)
+    assert len(found) == 1
+
+
+def test_the_command_prints_the_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_quad(tmp_path / "a.glb", {}, changes=FOREIGN)
+    with pytest.raises(SystemExit) as stop:
+        main(["view", str(path), "--save", str(tmp_path / "page.html"), "-q"])
+    assert stop.value.code == 0
+    assert capsys.readouterr().err.startswith(f"hir: {path} is shown without ACME_glow, animations, which ")
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf"])
+@pytest.mark.parametrize(("profile", "light"), [("khr", True), ("blender", False), ("engine", False)])
+def test_our_own_files_have_no_warning(profile: Any, light: bool, suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a.{suffix}"
+    create_exporter(suffix, GltfConfig(profile=profile, image_based_light=light)).write(asset(), path)
+    load_displayed_asset(path)  # a warning is an error here
+
+
+def test_textures_without_a_decoder_in_the_page_are_converted(tmp_path: Path) -> None:
+    picture = png(Image.new("RGB", (2, 2), "red"))
+    path = write_quad(tmp_path / "a.glb", textured(), [picture], changes={"extensionsUsed": ["KHR_texture_basisu"]})
+    assert b"KHR_texture_basisu" not in load_displayed_asset(path).glb

@@ -1,16 +1,17 @@
-"""Reads what an exporter wrote in an .obj file: corners with texture coordinates and normals, and the files named."""
+"""Reads what an exporter wrote in a mesh file: corners with texture coordinates and normals, and the files named."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class ObjFile:
+class MeshFile:
     """The triangles of a file; `uvs` and `normals` are None where not every corner has one."""
 
     positions: NDArray[np.float64]
@@ -19,12 +20,33 @@ class ObjFile:
     """(F, 3, 2) as the file has them: v points up."""
     normals: NDArray[np.float64] | None
     """(F, 3, 3)."""
-    missing: tuple[str, ...]
+    has_material: bool
+    missing: tuple[str, ...] = ()
     """Names in the file, and in its material libraries, of files that are not there."""
 
 
-def read_obj(path: Path) -> ObjFile:
-    """The triangles of an .obj file whose faces are triangles."""
+def surface_by_trimesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Positions (V, 3) and faces (F, 3) of a file, as trimesh reads it."""
+    import trimesh
+
+    mesh: Any = trimesh.load(path, process=False, force="mesh")
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def read_mesh_file(path: Path) -> MeshFile:
+    """The triangles of an .obj file whose faces are triangles, or of what else trimesh reads."""
+    if path.suffix.lower() == ".obj":
+        return _read_obj(path)
+    import trimesh
+
+    mesh: Any = trimesh.load(path, process=False)  # with force="mesh" it loses the normals
+    uvs = getattr(mesh.visual, "uv", None)
+    normals = mesh.vertex_normals if "vertex_normals" in mesh._cache else None
+    corners = [None if values is None else np.asarray(values, np.float64)[mesh.faces] for values in (uvs, normals)]
+    return MeshFile(np.asarray(mesh.vertices, np.float64)[mesh.faces], corners[0], corners[1], False)
+
+
+def _read_obj(path: Path) -> MeshFile:
     lines = [line.split(maxsplit=1) for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
     values: dict[str, list[list[float]]] = {"v": [], "vt": [], "vn": []}
     faces, libraries = [], []
@@ -40,7 +62,7 @@ def read_obj(path: Path) -> ObjFile:
         named += [file for file in _maps(library) if not file.is_file()]
     corners = [_corners(values[word], faces, place) for place, word in enumerate(("v", "vt", "vn"))]
     assert corners[0] is not None
-    return ObjFile(corners[0], corners[1], corners[2], tuple(file.name for file in named))
+    return MeshFile(corners[0], corners[1], corners[2], bool(libraries), tuple(file.name for file in named))
 
 
 def _corners(values: list[list[float]], faces: list[list[list[str]]], place: int) -> NDArray[np.float64] | None:
