@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import subprocess
 import sys
@@ -120,6 +121,16 @@ def test_a_library_of_the_system_that_is_missing_is_named(capsys: pytest.Capture
     assert hir("picture", plugins=plugin_with_command(click.Command("picture", callback=needs_egl))) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "libEGL.so.1" in line and "apt-get install libegl1" in line and "bug" not in line
+
+
+@pytest.mark.parametrize(("file", "place"), [(None, "for the output"), ("big.exr", "for big.exr")])
+def test_a_full_disk_is_no_bug(capsys: pytest.CaptureFixture[str], file: str | None, place: str) -> None:
+    def fill() -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", file)
+
+    assert hir("fill", plugins=plugin_with_command(click.Command("fill", callback=fill))) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"hir: there is no space left {place} ") and "free some" in line
 
 
 @pytest.mark.parametrize("module", ["torch", "scipy"])
