@@ -76,6 +76,10 @@ LONG = "{tmp}/" + "a" * 5000
         (["evaluate", "{tmp}"], "it has no run.json"),
         (["report", "{tmp}"], "it is not a run; make one with: hir reconstruct"),
         (["render", "{tmp}", "-o", "{tmp}/out"], "choose what to render"),
+        (
+            ["render", "{tmp}", "--view", "003", "--size", "64", "-o", "{tmp}/out"],
+            "--size has no effect without --orbit",
+        ),
         (["dance"], "No such command 'dance'"),
         (["check", LONG], "is longer than the system allows"),
         (["reconstruct", LONG, "-o", "{tmp}/run"], "is longer than the system allows"),
