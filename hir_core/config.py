@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -288,18 +289,32 @@ def load_config(
             raise ConfigError(f"preset is {name!r}; it is the name of a preset: {', '.join(plugins.presets())}")
         preset = preset or name
     preset = preset or _default_preset(plugins)
-    settings: dict[str, Any] = _without_plugins(plugins.preset(preset), read_toml(plugins.preset(preset)))
-    settings.pop(DEFAULT_PRESET, None)
-    for layer in (from_file, assigned, {k: v for k, v in overrides.items() if v is not None}):
-        settings = merge(settings, layer)
+    base = _without_plugins(plugins.preset(preset), read_toml(plugins.preset(preset)))
+    base.pop(DEFAULT_PRESET, None)
+    given = {k: v for k, v in overrides.items() if v is not None}
+    settings: dict[str, Any] = reduce(merge, (base, from_file, assigned, given), {})
     settings["preset"] = preset
     if "export" not in settings:
         raise ConfigError(f"the preset {preset!r} does not set export; set it to a list of formats, [] for none")
-    config = build_options(RunConfig, settings, "settings")
-    for name in config.plugins:
-        plugins.register_named(name)
-    _check_components(config, plugins)
+    try:
+        config = build_options(RunConfig, settings, "settings")
+        for name in config.plugins:
+            plugins.register_named(name)
+        _check_components(config, plugins)
+    except ConfigError as error:
+        if file is not None and _are_valid([base, assigned, given], plugins):
+            raise ConfigError(f"{file}: {error}") from None
+        raise
     return config
+
+
+def _are_valid(layers: Sequence[Mapping[str, Any]], plugins: PluginManager) -> bool:
+    """Whether merged settings pass the checks of `load_config`."""
+    try:
+        _check_components(build_options(RunConfig, reduce(merge, layers, {}), "settings"), plugins)
+    except ConfigError:
+        return False
+    return True
 
 
 def _without_plugins(file: Path, table: dict[str, Any]) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def main(arguments: Sequence[str] | None = None, plugins: PluginManager | None =
 
 
 def _of_user(error: BaseException) -> BaseException:
-    """A `HirError` in place of the system's error of a path that is too long, or of a library that is not installed.
+    """A `HirError` in place of the system's error of a path that is too long, of a full disk, or of a missing library.
 
     Every argument and option can be such a path, and each way to ask for a file fails on it. Containers lack libraries
     of the system that wheels need: open3d needs libEGL. Other errors stay as they are.
@@ -121,6 +121,9 @@ def _of_user(error: BaseException) -> BaseException:
         return InputError(
             f"the path {str(error.filename)[:200]!r}… is longer than the system allows; give a shorter one"
         )
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        place = f"for {error.filename}" if error.filename else "for the output"
+        return InputError(f"there is no space left {place} ({error.strerror}); free some, or write to another disk")
     if isinstance(error, ImportError) and "cannot open shared object file" in str(error):
         from hir_core.run.installation_check import library_advice
 

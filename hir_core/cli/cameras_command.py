@@ -15,7 +15,10 @@ from hir_core.terminal.command_options import FOLDER, plugin_option
 @click.option("-o", "--output", type=FOLDER, required=True, metavar="DIR", help="Folder for the files.")
 @plugin_option
 def cameras_command(run: Path, file_format: str, output: Path, plugin_files: tuple[str, ...]) -> None:
-    """Writes the solved cameras of RUN for other programs, as transforms.json or as a COLMAP text model."""
+    """Writes the solved cameras of RUN for other programs, as transforms.json or as a COLMAP text model.
+
+    Files of other cameras in DIR are not overwritten.
+    """
     from hir_core.errors import InputError
     from hir_core.files.json_documents import read_json
     from hir_core.intake.camera_export import export_cameras

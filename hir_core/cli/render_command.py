@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 from hir_core.terminal.required_packages import require_reconstruction_packages
@@ -75,6 +76,10 @@ def render_command(
 
     if not views and orbit is None:
         raise ConfigError("choose what to render: --view NAME, or --orbit N for N images around the object")
+    context = click.get_current_context()
+    for name in ("elevation", "size"):
+        if orbit is None and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            raise ConfigError(f"--{name} has no effect without --orbit; leave it out, or add --orbit N")
     options: dict[str, Any] = {}
     for assignment in assignments:
         assign(options, assignment)

@@ -37,9 +37,7 @@ def compare_with_truth(
 ) -> dict[str, Any]:
     """Entries `surface`, `albedo`, `light_error` of the result: those requested, or with `truth` all available."""
     result: dict[str, Any] = {}
-    mesh = request.mesh
-    if mesh is None and request.truth and (path / TRUE_MESH).is_file():
-        mesh = path / TRUE_MESH
+    mesh = requested_mesh(request, path)
     if mesh is not None:
         result["surface"] = surface_figures(run, mesh, capture)
     albedo = request.albedo
@@ -53,6 +51,24 @@ def compare_with_truth(
         if light is not None:
             result["light_error"] = light
     return result
+
+
+def requested_mesh(request: EvaluationRequest, path: Path) -> Path | None:
+    """The true mesh that a request names, or with `truth` that of the capture at `path`; None without one."""
+    if request.mesh is None and request.truth and (path / TRUE_MESH).is_file():
+        return path / TRUE_MESH
+    return request.mesh
+
+
+def check_truth(run: FinishedRun, path: Path, request: EvaluationRequest, plugins: PluginManager) -> None:
+    """Reads the mesh and opens the split of albedo that a request names; `InputError` where one is wrong.
+
+    It is called before the views are rendered, which takes minutes.
+    """
+    if (mesh := requested_mesh(request, path)) is not None:
+        true_mesh(mesh, run)
+    if request.albedo:
+        run.read_split(path, request.albedo, plugins)
 
 
 def surface_figures(run: FinishedRun, mesh: Path, capture: Capture) -> dict[str, Any]:

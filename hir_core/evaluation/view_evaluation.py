@@ -93,11 +93,12 @@ def evaluate_run(
     capture is the run's own.
     """
     from hir_core.evaluation.scan_texture_figures import scan_texture_figures
-    from hir_core.evaluation.truth_evaluation import compare_with_truth
+    from hir_core.evaluation.truth_evaluation import check_truth, compare_with_truth
 
     run = open_finished_run(directory, request.device)
     path = request.capture or run.capture_path
     capture = run.views_of_split(path, request.split, plugins)
+    check_truth(run, path, request, plugins)
     if request.views:
         chosen = evenly_spaced_indices(len(capture.views), request.views)
         capture = replace(capture, views=tuple(capture.views[i] for i in chosen))

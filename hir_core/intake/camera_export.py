@@ -12,7 +12,7 @@ from hir_exporters.files.atomic import write_text_atomic
 from hir_core.capture import Camera
 from hir_core.capture.rotations import quaternion_from_rotation
 from hir_core.errors import ConfigError
-from hir_core.files.json_documents import write_json
+from hir_core.files.json_documents import json_text
 
 FORMATS = ("transforms", "colmap")
 
@@ -32,7 +32,8 @@ def export_cameras(
     `transforms`: `output`/transforms.json (nerfstudio's fields; +Z up, cameras look along -z), with the `takes` that
     have a name. `colmap`: the folder `output`/sparse/0 with cameras.txt, images.txt and an empty points3D.txt; +Y up as
     in the run. Images are named by their files, or by their paths in the photographs' common folder if files of two
-    folders have one name. A missing photograph or an unknown `form` raises `ConfigError`.
+    folders have one name. A missing photograph, an unknown `form`, and files of other cameras in the same place raise
+    `ConfigError`; nothing is overwritten.
     """
     missing = sorted(set(cameras) - set(photographs))
     if missing:
@@ -43,18 +44,35 @@ def export_cameras(
     files = {name: os.path.relpath(photographs[name], output) for name in cameras}
     if form == "transforms":
         frames = [_frame(cameras[name], files[name], (takes or {}).get(name, "")) for name in sorted(cameras)]
-        write_json(output / "transforms.json", {"camera_model": "OPENCV", "frames": frames})
+        _write_new(output, {"transforms.json": json_text({"camera_model": "OPENCV", "frames": frames})})
         return output / "transforms.json"
     if form == "colmap":
         folder = output / "sparse" / "0"
         lines, pictures = _colmap_lines(cameras, _image_names({name: photographs[name] for name in cameras}))
         first = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
-        write_text_atomic(folder / "cameras.txt", first + "\n".join(lines) + "\n")
         header = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n"
-        write_text_atomic(folder / "images.txt", header + "\n\n".join(pictures) + "\n\n")
-        write_text_atomic(folder / "points3D.txt", "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n")
+        files_of_model = {
+            "cameras.txt": first + "\n".join(lines) + "\n",
+            "images.txt": header + "\n\n".join(pictures) + "\n\n",
+            "points3D.txt": "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[]\n",
+        }
+        _write_new(folder, files_of_model)
         return folder
     raise ConfigError(f"cameras cannot be written as {form!r}; use {' or '.join(FORMATS)}")
+
+
+def _write_new(folder: Path, texts: Mapping[str, str]) -> None:
+    """Writes text files by name; `ConfigError` before the first one where that would replace other cameras.
+
+    COLMAP reads a .bin in place of the .txt beside it, so that is refused, too.
+    """
+    for name, text in texts.items():
+        path, binary = folder / name, (folder / name).with_suffix(".bin")
+        found = path if path.exists() else binary if binary.exists() else None
+        if found is not None and (found == binary or not path.is_file() or path.read_bytes() != text.encode()):
+            raise ConfigError(f"{found} exists; choose another folder with -o, or move the file away")
+    for name, text in texts.items():
+        write_text_atomic(folder / name, text)
 
 
 def _image_names(photographs: Mapping[str, Path]) -> dict[str, str]:

@@ -55,12 +55,8 @@ def advice_for(check: CaptureCheck) -> list[str]:
             f"the take {few[0].name} has {few[0].photographs} photographs, so its light is under-observed: take "
             f"{MIN_PHOTOGRAPHS_OF_TAKE} or more, better 30, or leave the take out"
         )
-    unmasked = sum(v.mask_share is None for v in views)
-    if len(check.takes) > 1 and check.with_camera < len(views) and unmasked:
-        advice.append(
-            f"{unmasked} of {len(views)} photographs have no mask: to estimate cameras of several takes, all need one, "
-            "because takes are joined by features of the object alone"
-        )
+    if unmasked := [v.name for v in views if v.mask_share is None]:
+        advice.append(_advice_on_masks(check, unmasked))
     scores = [v.agreement for v in views if v.agreement is not None]
     if scores:
         middle = float(np.median(scores))
@@ -123,6 +119,23 @@ def advice_for(check: CaptureCheck) -> list[str]:
             "the light moves with the camera (a flash, or a turntable): set light_frame = camera, or lamp for a flash"
         )
     return advice
+
+
+def _advice_on_masks(check: CaptureCheck, unmasked: Sequence[str]) -> str:
+    """The sentence on photographs without a mask, of which there is at least one."""
+    count = len(check.views)
+    fact = f"{len(unmasked)} of {count} photographs have no mask, such as {unmasked[0]}"
+    if len(check.takes) > 1 and check.with_camera < count:
+        return (
+            f"{fact}: to estimate cameras of several takes, all need one, because takes are joined by features of the "
+            "object alone"
+        )
+    if check.with_camera == count and len(unmasked) < count and not check.points:
+        return f"{fact}, and the capture has no points to make one from: add the masks, or remove these photographs"
+    return (
+        f"{fact}: hir reconstruct makes them from colours and reconstructed points; where these are wrong, put masks "
+        "into a folder 'masks'"
+    )
 
 
 def _brightness_range(views: Sequence[ViewCheck], take: str) -> float:

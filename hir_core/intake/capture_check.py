@@ -55,6 +55,7 @@ def check_capture(capture: Capture, surface: tuple[Array, Array] | None = None) 
         flashes=sum(camera_record(view.path).flash is True for view in capture.views if view.path is not None),
         headlight=headlight,
         takes=_takes(capture),
+        points=0 if capture.points is None else len(capture.points.positions),
         mask_gap=None if agreement.gap is None else agreement.gap * _gap_scale([(size, p) for p, _, size, *_ in read]),
     )
     return replace(check, advice=tuple(advice_for(check)))

@@ -57,6 +57,8 @@ class CaptureCheck:
     mask_gap: float | None = None
     """Median width of the strip along a mask's outline that lies beside the hull of other masks, in pixels of masks
     reduced to 256 to 511 on the longer side; None without cameras, for few masks, and where none agree."""
+    points: int = 0
+    """Number of reconstructed points of the capture."""
     takes: tuple[TakeCheck, ...] = ()
     """The takes in their order; empty where there is one without a name."""
     advice: tuple[str, ...] = field(default=())

@@ -109,13 +109,13 @@ def edit_run(
     """Writes the edited asset as a scene folder, and `<destination>.png` with renders of both assets side by side.
 
     `source` is the folder of a run or of a scene. `hir export` and `hir view` read the destination. Returns the paths
-    of the files.
+    of the files. `InputError` where `source` has no scene, and where `destination` is a file, a folder of other files,
+    or the scene or a stage of a run.
     """
     folder = source if (source / "scene.json").is_file() else source / "scene"
     if not (folder / "scene.json").is_file():
         raise InputError(f"{source} has no finished scene; give the folder of a run or of a scene")
-    if destination.exists() and any(destination.iterdir()) and not (destination / "scene.json").is_file():
-        raise InputError(f"{destination} is not empty and no scene folder; choose an empty or new folder")
+    _refuse_destination(destination)
     before = load_scene(folder)
     after = apply_edit(before, edit)
     save_scene(after, destination)
@@ -129,6 +129,18 @@ def edit_run(
         written.append(destination.with_name(f"{destination.name}.png"))
         write_png(written[-1], pictures)
     return written
+
+
+def _refuse_destination(destination: Path) -> None:
+    """`InputError` where an edited scene would replace a result of a run, or files that are no scene."""
+    if destination.exists() and not destination.is_dir():
+        raise InputError(f"{destination} is a file; choose an empty or new folder")
+    place = destination.resolve()
+    run = next((folder for folder in place.parents if (folder / "run.json").is_file()), None)
+    if run is not None and place.relative_to(run).parts[0] in ("scene", "stages"):
+        raise InputError(f"{destination} holds results of the run {run.name}; choose a new folder")
+    if destination.exists() and any(destination.iterdir()) and not (destination / "scene.json").is_file():
+        raise InputError(f"{destination} is not empty and no scene folder; choose an empty or new folder")
 
 
 def render_asset(asset: Asset, plugins: PluginManager, size: int = 512, azimuth_deg: float = 25.0) -> Array:

@@ -26,9 +26,9 @@ def object_points(capture: Capture) -> tuple[Array, Array, float]:
     count = 0 if points is None else len(points.positions)
     if points is None or count < MIN_POINTS:
         raise CaptureError(
-            f"{capture.path}: the mask source grabcut needs {MIN_POINTS} reconstructed points, and there are {count}; "
-            "put masks of the photographs into a folder 'masks', or name a source that needs no points, such as: "
-            "--set 'masks=[\"rembg\"]'"
+            f"{capture.path}: the mask source grabcut needs {MIN_POINTS} reconstructed points, and there are {count}"
+            f"{_without_mask(capture)}; put masks of the photographs into a folder 'masks', or name a source that "
+            "needs no points, such as: --set 'masks=[\"rembg\"]'"
         )
     cameras = capture.cameras
     mask_count = np.zeros(len(points.positions))
@@ -47,6 +47,12 @@ def object_points(capture: Capture) -> tuple[Array, Array, float]:
         near = inliers
     center = np.median(near, axis=0)
     return near, center, float(np.quantile(np.linalg.norm(near - center, axis=1), 0.97))
+
+
+def _without_mask(capture: Capture) -> str:
+    """Which photographs have no mask, in parentheses; nothing where all have one."""
+    bare = [view.name for view in capture.views if view.pixels().mask is None]
+    return f" ({len(bare)} of {len(capture.views)} photographs have no mask, such as {bare[0]})" if bare else ""
 
 
 def draw_discs(points: Array, camera: Camera, radius: float) -> NDArray[np.bool_]:

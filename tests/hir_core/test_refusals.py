@@ -257,3 +257,17 @@ def test_curves_without_steps_are_refused(arrays: dict[str, np.ndarray], tmp_pat
 def test_the_renderer_that_ends_a_fit_is_looked_for_before_it_begins() -> None:
     with pytest.raises(PluginError, match="no reflectance renderer named 'mitsubi'"):
         load_config(PLUGINS, assignments=["reflectance.path_tracing.renderer=mitsubi"])
+
+
+@pytest.mark.parametrize(
+    "text", ["[geometry]\niteratons = 5\n", "[reflectance_renderer.transport_ggx]\nbounce = 5\n", 'seed = "x"\n']
+)
+def test_a_wrong_setting_is_that_of_its_file(text: str, tmp_path: Path) -> None:
+    file, sound = tmp_path / "mine.toml", tmp_path / "sound.toml"
+    file.write_text(text)
+    sound.write_text("seed = 1\n")
+    with pytest.raises(ConfigError, match=r"mine\.toml: "):
+        load_config(PLUGINS, file=file)
+    with pytest.raises(ConfigError) as raised:
+        load_config(PLUGINS, file=sound, assignments=["geometry.iteratons=5"])
+    assert "sound.toml" not in str(raised.value)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hir_core.errors import ConfigError
 from hir_core.terminal.command_options import FOLDER, verbosity_options
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ def view_command(
     from hir_plugins.commands.viewer.page_server import serve
     from hir_plugins.commands.viewer.viewer_page import view_page
 
+    if save is not None and save.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"--save {save}: the page is HTML; give a name that ends in .html")
     with forward_user_warnings(lambda text: click.echo(f"hir: {text}", err=True)):
         page = view_page(source, light)
     if save is not None:

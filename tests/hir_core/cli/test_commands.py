@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import subprocess
 import sys
@@ -75,6 +76,10 @@ LONG = "{tmp}/" + "a" * 5000
         (["evaluate", "{tmp}"], "it has no run.json"),
         (["report", "{tmp}"], "it is not a run; make one with: hir reconstruct"),
         (["render", "{tmp}", "-o", "{tmp}/out"], "choose what to render"),
+        (
+            ["render", "{tmp}", "--view", "003", "--size", "64", "-o", "{tmp}/out"],
+            "--size has no effect without --orbit",
+        ),
         (["dance"], "No such command 'dance'"),
         (["check", LONG], "is longer than the system allows"),
         (["reconstruct", LONG, "-o", "{tmp}/run"], "is longer than the system allows"),
@@ -120,6 +125,16 @@ def test_a_library_of_the_system_that_is_missing_is_named(capsys: pytest.Capture
     assert hir("picture", plugins=plugin_with_command(click.Command("picture", callback=needs_egl))) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "libEGL.so.1" in line and "apt-get install libegl1" in line and "bug" not in line
+
+
+@pytest.mark.parametrize(("file", "place"), [(None, "for the output"), ("big.exr", "for big.exr")])
+def test_a_full_disk_is_no_bug(capsys: pytest.CaptureFixture[str], file: str | None, place: str) -> None:
+    def fill() -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", file)
+
+    assert hir("fill", plugins=plugin_with_command(click.Command("fill", callback=fill))) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"hir: there is no space left {place} ") and "free some" in line
 
 
 @pytest.mark.parametrize("module", ["torch", "scipy"])

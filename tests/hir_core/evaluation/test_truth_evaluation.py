@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from hir_exporters.conventions import linear_to_srgb
 from hir_exporters.textures.image_files import write_png
 
 from hir_core.cli import main
-from hir_core.errors import InputError
+from hir_core.errors import HirError, InputError
 from hir_core.evaluation import EvaluationRequest, evaluate_run
 from hir_core.evaluation.truth_evaluation import light_figures, surface_figures
 from hir_core.metrics import composite, psnr, unassociate
@@ -98,6 +100,20 @@ def test_a_file_that_is_no_mesh_is_named(known: RunDirectory, plugins: PluginMan
         surface_figures(run, tmp_path / "points.obj", capture)
     with pytest.raises(InputError, match="no such file"):
         surface_figures(run, tmp_path / "gone.obj", capture)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [({"mesh": Path("gone.obj")}, "gone.obj: no such file"), ({"albedo": "gone"}, "no split 'gone'")],
+)
+def test_a_wrong_truth_is_refused_before_views_are_rendered(
+    known: RunDirectory, plugins: PluginManager, wrong: dict[str, Any], message: str
+) -> None:
+    rendered: list[int] = []
+    request = EvaluationRequest(options=CHEAP, views=1, **wrong)
+    with pytest.raises(HirError, match=re.escape(message)):
+        evaluate_run(known, request, plugins, lambda done, count, text: rendered.append(done))
+    assert rendered == []
 
 
 def test_command_compares_runs(known: RunDirectory, capsys: pytest.CaptureFixture[str]) -> None:

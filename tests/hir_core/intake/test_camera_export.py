@@ -81,3 +81,26 @@ def test_photographs_of_one_name_in_two_folders_are_different_images(
     (tmp_path / "takes.toml").write_text('takes = ["standing", "upside_down"]')
     capture = ColmapModelReader(NoOptions()).read(tmp_path)
     assert {view.path: view.take for view in capture.views} == {path: path.parent.name for path in moved.values()}
+
+
+@pytest.mark.parametrize(
+    ("form", "name"),
+    [("transforms", "transforms.json"), ("colmap", "sparse/0/images.txt"), ("colmap", "sparse/0/points3D.bin")],
+)
+def test_cameras_of_other_programs_are_not_overwritten(
+    solved: tuple[dict[str, Camera], dict[str, Path]], form: str, name: str, tmp_path: Path
+) -> None:
+    theirs = tmp_path / "photos" / name
+    theirs.parent.mkdir(parents=True)
+    theirs.write_text("{}")
+    with pytest.raises(ConfigError, match=f"{theirs.name} exists; choose another folder with -o, or move the file"):
+        export_cameras(*solved, form, tmp_path / "photos")
+    assert [file for file in (tmp_path / "photos").rglob("*") if file.is_file()] == [theirs]
+    assert theirs.read_text() == "{}"
+
+
+@pytest.mark.parametrize("form", ["transforms", "colmap"])
+def test_the_same_cameras_may_be_written_again(
+    solved: tuple[dict[str, Camera], dict[str, Path]], form: str, tmp_path: Path
+) -> None:
+    assert export_cameras(*solved, form, tmp_path) == export_cameras(*solved, form, tmp_path)

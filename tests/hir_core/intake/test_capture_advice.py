@@ -55,9 +55,22 @@ def test_a_black_photograph_is_not_only_blurred() -> None:
 def test_takes_without_cameras_need_masks() -> None:
     bare = tuple(replace(v, mask_share=None, agreement=None) for v in VIEWS[:3])
     check = replace(GOOD, views=(*bare, *VIEWS[3:]), with_camera=0)
-    assert advice_for(check) == []
+    [advice] = advice_for(check)
+    assert "takes" not in advice
     [advice] = advice_for(replace(check, takes=(TakeCheck("a", 10), TakeCheck("b", 15))))
     assert "3 of 25 photographs have no mask" in advice and "takes" in advice
+
+
+def test_photographs_without_a_mask_are_named() -> None:
+    check = with_view(mask_share=None, agreement=None)
+    [advice] = advice_for(check)
+    assert advice == (
+        "1 of 25 photographs have no mask, such as 02, and the capture has no points to make one from: add the masks, "
+        "or remove these photographs"
+    )
+    made = "such as 02: hir reconstruct makes them from colours and reconstructed points"
+    for other in (replace(check, points=100), replace(check, with_camera=0)):
+        assert made in advice_for(other)[0]
 
 
 def test_the_light_of_another_take_may_be_brighter() -> None:

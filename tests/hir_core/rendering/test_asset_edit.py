@@ -116,6 +116,24 @@ def test_other_folders_are_not_overwritten(finished: Run, tmp_path: Path) -> Non
     with pytest.raises(InputError, match="is not empty and no scene folder"):
         edit_run(finished.path, AssetEdit(), tmp_path / "letters", plugins, picture=False)
     assert [file.name for file in (tmp_path / "letters").iterdir()] == ["to_mother.txt"]
+    with pytest.raises(InputError, match=r"to_mother\.txt is a file; choose an empty or new folder"):
+        edit_run(finished.path, AssetEdit(), tmp_path / "letters" / "to_mother.txt", plugins, picture=False)
+
+
+@pytest.mark.parametrize("place", ["scene", "stages/4-reflectance/scene", "stages/new"])
+def test_results_of_a_run_are_not_overwritten(place: str, tmp_path: Path) -> None:
+    run = tmp_path / "mug"
+    save_scene(textured_asset(), run / "scene")
+    save_scene(textured_asset(), run / "stages" / "4-reflectance" / "scene")
+    (run / "run.json").write_text("{}")
+    before = {file: file.read_bytes() for file in run.rglob("*") if file.is_file()}
+    plugins = PluginManager.discover()
+    for source in (run, run / "scene"):
+        with pytest.raises(InputError, match="holds results of the run mug; choose a new folder"):
+            edit_run(source, AssetEdit(roughness=2.0), run / place, plugins, picture=False)
+    assert {file: file.read_bytes() for file in run.rglob("*") if file.is_file()} == before
+    beside = edit_run(run, AssetEdit(roughness=2.0), run / "rough", plugins, picture=False)
+    assert beside == [run / "rough" / "scene.json"]
 
 
 def test_a_scene_without_light_needs_one_for_its_picture(tmp_path: Path) -> None:

@@ -193,6 +193,15 @@ def test_the_surface_of_agreed_points_covers_what_all_of_them_cover() -> None:
     assert nothing.shape == (0, 3) and not draw_discs(nothing, cameras[0], reach).any()
 
 
+def test_grabcut_without_points_names_what_has_no_mask() -> None:
+    views = [
+        make_view(f"p{i}", camera, np.ones((16, 16))) for i, camera in enumerate(dome(3, 3.0, np.zeros(3), 20, 16))
+    ]
+    views[1] = replace(views[1], read=StoredPixels(replace(views[1].read(), mask=None)))
+    with pytest.raises(CaptureError, match="there are 0 \\(1 of 3 photographs have no mask, such as p1\\)"):
+        GrabCut(GrabCutOptions()).masks(Capture(Path("made-in-memory"), tuple(views)), None)
+
+
 @pytest.mark.slow
 def test_grabcut_finds_a_ball_before_a_room() -> None:
     """A ball of one colour range before noise of another; its points are known, as a reconstruction would give them."""

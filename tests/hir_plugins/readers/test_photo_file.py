@@ -168,7 +168,7 @@ def test_raw_files_are_developed_linear(tmp_path: Path) -> None:
     right = pixels.color_linear[20:40, 60:80].reshape(-1, 3)
     np.testing.assert_allclose(right, np.tile([0.6, 0.3, 0.1], (400, 1)), atol=1e-3)
     (tmp_path / "b.dng").write_bytes((tmp_path / "a.dng").read_bytes()[:300])
-    with pytest.raises(CaptureError, match=r"b\.dng is damaged"):
+    with pytest.raises(CaptureError, match=r"b\.dng is damaged \([A-Z]"):
         PhotoFile(tmp_path / "b.dng", None)()
 
 

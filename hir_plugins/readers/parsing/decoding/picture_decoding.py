@@ -174,7 +174,9 @@ def _decode_or_refuse(path: Path | str, decode: Callable[[], Result]) -> Result:
     try:
         return decode()
     except Exception as error:  # decoders raise many types on damaged images
-        raise CaptureError(f"{path} is damaged ({error}); export the image again or remove it") from None
+        reason = error.args[0] if error.args else error
+        text = reason.decode(errors="replace") if isinstance(reason, bytes) else error  # LibRaw's are bytes
+        raise CaptureError(f"{path} is damaged ({text}); export the image again or remove it") from None
 
 
 def _apply_orientation(pixels: EncodedPixels, orientation: int) -> EncodedPixels:

@@ -46,6 +46,15 @@ def test_the_command_ends_without_a_page(tmp_path: Path, capsys: pytest.CaptureF
     assert capsys.readouterr().err.count("\n") == 1
 
 
+def test_a_page_is_not_written_over_files_of_other_kinds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_quad(tmp_path / "a.glb", {}, faces=FACES)
+    before = path.read_bytes()
+    with pytest.raises(SystemExit) as stop:
+        main(["view", str(path), "--save", str(path)])
+    assert stop.value.code == 2 and path.read_bytes() == before
+    assert "give a name that ends in .html" in capsys.readouterr().err
+
+
 def test_a_sound_file_is_passed_on(tmp_path: Path) -> None:
     path = write_quad(tmp_path / "a.glb", {}, faces=FACES)
     assert load_displayed_asset(path).glb == path.read_bytes()
