@@ -56,10 +56,13 @@ def edit_command(
     The run itself is not changed.
     """
     require_reconstruction_packages("hir edit")
+    from hir_core.errors import ConfigError
     from hir_core.plugins.manager import PluginManager
     from hir_core.rendering.asset_edit import AssetEdit, edit_run
 
     edit = AssetEdit(roughness, tint, specular, light, metalness)
+    if edit == AssetEdit():
+        raise ConfigError("nothing would change; give --roughness, --tint, --specular, --metalness or --light")
     for path in edit_run(source, edit, output, PluginManager.discover(plugin_files), picture, size):
         if not quiet:
             click.echo(str(path))

@@ -16,6 +16,7 @@ from hir_core.terminal.command_options import FOLDER
     "--kind",
     type=click.Choice([*(k.replace("_", "-") for k in KINDS), "observer", "command"]),
     default="regularizer",
+    show_default=True,
     help="Kind of the plugin.",
 )
 @click.option(

@@ -153,6 +153,8 @@ def refuse_taken_name(name: str, kind: str, plugins: PluginManager) -> None:
 
 def _template_values(name: str, kind: str, one_file: bool = False) -> dict[str, str]:
     """The values of the templates, derived from the name and kind. `ConfigError` for an invalid name."""
+    if "/" in name or "\\" in name:
+        raise ConfigError(f"the name {name!r} is a path; give the name alone, and its parent folder with -o")
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_").removeprefix("hir_")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", plain):
         raise ConfigError(f"the name {name!r} does not begin with a letter; an example is albedo-chroma-prior")

@@ -107,6 +107,15 @@ def test_command_writes_a_scene_and_a_picture(finished: Run, tmp_path: Path) -> 
     assert right[inside][:, 0].mean() > 0.8 * left[inside][:, 0].mean(), "as much red"
 
 
+def test_an_edit_that_changes_nothing_is_refused(
+    finished: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["edit", str(finished.path), "-o", str(tmp_path / "same"), "--roughness", "1"])
+    assert stop.value.code == 2 and not (tmp_path / "same").exists()
+    assert "nothing would change; give --roughness" in capsys.readouterr().err
+
+
 def test_other_folders_are_not_overwritten(finished: Run, tmp_path: Path) -> None:
     plugins = PluginManager.discover()
     with pytest.raises(InputError, match="has no finished scene"):

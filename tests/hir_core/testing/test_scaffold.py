@@ -110,6 +110,9 @@ def test_one_file_of_another_kind_is_refused(kind: str, tmp_path: Path) -> None:
 def test_invalid_names_and_existing_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="does not begin with a letter"):
         write_plugin("42", "regularizer", tmp_path)
+    for name in ("../mine", "plugins\\mine"):
+        with pytest.raises(ConfigError, match="is a path; give the name alone"):
+            write_plugin(name, "regularizer", tmp_path / "new")
     write_plugin("hir-mine", "mask_source", tmp_path)
     assert (tmp_path / "hir-mine" / "hir_mine" / "plugin.py").is_file()
     with pytest.raises(ConfigError, match="exists"):
