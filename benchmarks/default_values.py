@@ -76,6 +76,7 @@ DEFAULT_VALUES = {
     ),
     "least_fine_gain": DefaultValue(0.03, (0.01, 0.1), constant=f"{PHOTOGRAPHS}:LEAST_FINE_GAIN", mesh="reconstructed"),
     "texel_prior_weight": DefaultValue(0.01, (0.003, 0.05), constant=f"{TEXTURES}:TEXEL_PRIOR_WEIGHT"),
+    "texel_smoothness": DefaultValue(0.02, (0.1, 0.5), constant=f"{TEXTURES}:TEXEL_SMOOTHNESS_WEIGHT"),
     "light_whiteness": DefaultValue(1e-3, (0.0, 1e-2), "reflectance_renderer.transport_ggx.light_whiteness"),
     "light_smoothness": DefaultValue(1e-4, (1e-3, 1e-2), "reflectance_renderer.transport_ggx.light_smoothness"),
     "albedo_entropy": DefaultValue(3e-5, (0.0, 1e-4), "reflectance_renderer.transport_ggx.albedo_entropy"),

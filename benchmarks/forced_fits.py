@@ -38,7 +38,7 @@ from hir_plugins.commands.bench.suites.materials_run import RunFigures, current_
 from hir_plugins.reflectance_renderers.transport_ggx.fit.fitted_model import Fit
 from hir_plugins.reflectance_renderers.transport_ggx.solver import TransportSolver
 
-NAMES = ("light_whiteness", "light_smoothness", "texel_prior_weight", "texture_size")
+NAMES = ("light_whiteness", "light_smoothness", "texel_prior_weight", "texel_smoothness", "texture_size")
 """Settings of the fit, and values that act after it: a constant of the fit itself must not share fits."""
 STORE = Path("benchmarks/results/forced_fits.jsonl")
 MODEL = "specular"

@@ -109,13 +109,16 @@ def edit_run(
     """Writes the edited asset as a scene folder, and `<destination>.png` with renders of both assets side by side.
 
     `source` is the folder of a run or of a scene. `hir export` and `hir view` read the destination. Returns the paths
-    of the files. `InputError` where `source` has no scene, and where `destination` is a file, a folder of other files,
-    or the scene or a stage of a run.
+    of the files. `InputError` where `source` has no scene, where `destination` is a file, a folder of other files, or
+    the scene or a stage of a run, and where the picture would replace one that no edit has written.
     """
     folder = source if (source / "scene.json").is_file() else source / "scene"
     if not (folder / "scene.json").is_file():
         raise InputError(f"{source} has no finished scene; give the folder of a run or of a scene")
     _refuse_destination(destination)
+    picture_file = destination.with_name(f"{destination.name}.png")
+    if picture and picture_file.exists() and not (destination / "scene.json").is_file():
+        raise InputError(f"{picture_file} exists; choose another name for the folder, or use --no-picture")
     before = load_scene(folder)
     after = apply_edit(before, edit)
     save_scene(after, destination)
@@ -126,8 +129,8 @@ def edit_run(
                 f"{source} has no light, so it cannot be rendered; give a light with --light, or use --no-picture"
             )
         pictures = np.concatenate([render_asset(asset, plugins, size) for asset in (before, after)], axis=1)
-        written.append(destination.with_name(f"{destination.name}.png"))
-        write_png(written[-1], pictures)
+        written.append(picture_file)
+        write_png(picture_file, pictures)
     return written
 
 

@@ -129,6 +129,14 @@ def test_other_folders_are_not_overwritten(finished: Run, tmp_path: Path) -> Non
         edit_run(finished.path, AssetEdit(), tmp_path / "letters" / "to_mother.txt", plugins, picture=False)
 
 
+def test_a_photograph_is_not_replaced_by_the_picture(tmp_path: Path) -> None:
+    save_scene(textured_asset(), tmp_path / "scene")
+    (tmp_path / "003.png").write_bytes(b"a photograph")
+    with pytest.raises(InputError, match=r"003\.png exists; choose another name for the folder, or use --no-picture"):
+        edit_run(tmp_path / "scene", AssetEdit(2.0), tmp_path / "003", PluginManager.discover())
+    assert (tmp_path / "003.png").read_bytes() == b"a photograph" and not (tmp_path / "003").exists()
+
+
 @pytest.mark.parametrize("place", ["scene", "stages/4-reflectance/scene", "stages/new"])
 def test_results_of_a_run_are_not_overwritten(place: str, tmp_path: Path) -> None:
     run = tmp_path / "mug"
