@@ -211,8 +211,9 @@ class ReflectanceSettings:
     """A lat-long file that is the light, `FILE` or `FILE*STRENGTH`, which is then not fitted. It is in the axes of the
     light that the capture names, or in those of the capture's files where it names none."""
     revise_mesh: bool = True
-    """After the fit, initializers of the chain that can do so, such as `hollows`, revise the mesh with the fitted
-    material and light; a changed mesh is fitted again, and kept where held-out views gain."""
+    """What initializers such as `hollows` change in the mesh is compared with the mesh without it on held-out views.
+    After the fit they revise the mesh with the fitted material and light; a changed mesh is fitted again, and kept
+    where held-out views gain."""
     map_errors: bool = True
     """Estimate standard errors of base colour, metalness and roughness from the spread over photographs."""
     gradient: GradientSettings = field(default_factory=GradientSettings)

@@ -21,7 +21,8 @@ TRAITS: Mapping[str, Mapping[str, str]] = {
         "needs_cameras": "every view must have a camera",
         "needs_masks": "views must have masks",
         "needs_surface": "an initializer before it must have made a mesh, which it changes",
-        "revises_mesh": "asked again with the fitted material and light; returns the scene where they show nothing new",
+        "revises_mesh": "held-out views compare the mesh without its change; asked again with the fitted material and "
+        "light, it returns the scene where they show nothing new",
         "needs_points": "the capture must have oriented points",
         "measures_points": "adds oriented points to the capture",
         "sets_scale": "scales the world to metres; where the settings give its options, an automatic chain contains it",

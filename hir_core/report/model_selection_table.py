@@ -26,7 +26,8 @@ def model_selection(document: Document, seconds: Sequence[float]) -> Markup:
     report = report_of(document, "reflectance")
     comparisons = report.get("comparisons") or []
     revision = report.get("revision") or {}
-    if revision.get("accepted"):
+    unchanged = report.get("unchanged_mesh") or {}
+    if revision.get("accepted") or unchanged.get("selected"):
         seconds = ()  # of the first mesh, which was replaced
     explanation, hypotheses = report.get("explanation"), report.get("hypotheses") or []
     parts = []
@@ -38,6 +39,9 @@ def model_selection(document: Document, seconds: Sequence[float]) -> Markup:
     if shape := report.get("shape"):
         sentence = f"Shape from {shape['sentence']} ({shape['held_out_views']} held-out views)."
         parts.append(notice(sentence + _within_noise(shape, "difference")))
+    if unchanged:
+        sentence = f"Mesh {unchanged['sentence']} ({unchanged['held_out_views']} held-out views)."
+        parts.append(notice(sentence + _within_noise(unchanged, "difference")))
     if revision.get("changed"):
         sentence = f"Material and light showed another mesh; {revision['sentence']}"
         parts.append(notice(f"{sentence} ({revision['held_out_views']} views)." + _within_noise(revision, "gain")))

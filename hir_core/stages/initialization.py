@@ -55,16 +55,29 @@ class InitializationReport:
         return {"initializers": list(self.initializers), "frames": frames, "depth_scale": scale} | fields
 
 
+@dataclass(frozen=True)
+class InitializedCapture:
+    """Value of the initializer stage: capture and mesh in the working frame."""
+
+    capture: Capture
+    scene: Scene
+    frames: CoordinateFrames
+    """The asset's frame is the one that the initializers ended in."""
+    scan: Scan | None = None
+    """The file of the scene's mesh, where one was read. For the report and for `hir evaluate`; no later stage receives
+    its texture."""
+    unchanged_scene: Scene | None = None
+    """Before the first initializer with the trait `revises_mesh`; None where none of them changed the mesh."""
+
+
 def initialize(
     capture: Capture, config: RunConfig, context: StageContext
-) -> tuple[Capture, Scene, CoordinateFrames, Scan | None, InitializationReport]:
-    """Runs the resolved chain of initializers with mask sources between them.
-
-    Capture and scene are returned in the working frame. The asset's frame is the one that the initializers ended in.
-    The scan is the file of the scene's mesh, where one was read.
-    """
+) -> tuple[InitializedCapture, InitializationReport]:
+    """Runs the resolved chain of initializers with mask sources between them."""
     assert config.initializers != "auto", "`resolve_initializers` comes first"
     scene: Scene | None = None
+    unchanged: tuple[Scene, Capture] | None = None
+    mesh_changed = False
     scan: Scan | None = None
     scanned: Mesh | None = None
     _check_distance_from_origin(capture)
@@ -93,8 +106,13 @@ def initialize(
         owner = context.plugins.find("initializer", name).label
         workspace = context.workspace / f"{i + 1}-{name}"
         workspace.mkdir(parents=True, exist_ok=True)
+        before, revises = scene, _has_trait(name, "revises_mesh", context.plugins)
+        if revises and unchanged is None and before is not None:
+            unchanged = before, capture
         with forward_warnings(context):
             capture, scene = checked_result(initializer.initialize(capture, scene, workspace), owner)
+        if revises and before is not None and scene is not None:
+            mesh_changed |= scene.mesh is not before.mesh
         if own_report := checked_report(initializer, owner):
             details[name] = own_report
         if own_scan := checked_scan(initializer, owner):
@@ -118,6 +136,8 @@ def initialize(
         )
     if scanned is not None and not _has_surface_of(scene.mesh, scanned):
         scan = None  # an initializer made another surface, to which the texture does not belong
+    if unchanged is not None and not (mesh_changed and _same_cameras(unchanged[1], capture)):
+        unchanged = None  # the same mesh, or a later initializer moved the world
     working_from_asset = unit_similarity(scene.mesh)
     moved_capture = capture.transformed(working_from_asset)
     asset_from_working = np.linalg.inv(working_from_asset)
@@ -133,7 +153,20 @@ def initialize(
         scale_from=scale_source(capture, details),
         depth_scale=depth_scale,
     )
-    return moved_capture, move_scene(scene, working_from_asset).to(context.device), frames, scan, report
+
+    def moved(found: Scene) -> Scene:
+        return move_scene(found, working_from_asset).to(context.device)
+
+    return InitializedCapture(
+        moved_capture, moved(scene), frames, scan, None if unchanged is None else moved(unchanged[0])
+    ), report
+
+
+def _same_cameras(first: Capture, second: Capture) -> bool:
+    if [view.name for view in first.views] != [view.name for view in second.views]:
+        return False
+    pairs = zip(first.cameras, second.cameras, strict=True)
+    return all(np.array_equal(a.world_to_camera, b.world_to_camera) for a, b in pairs)
 
 
 def _has_surface_of(mesh: Mesh, scanned: Mesh) -> bool:

@@ -51,6 +51,9 @@ class RunState:
     """Name of the file that the initializer stage's mesh was read from, for messages; empty where it made the mesh."""
     scene: Scene | None = None
     """The latest scene, in the working frame."""
+    unchanged_scene: Scene | None = None
+    """From the initializer stage: before the first initializer with the trait `revises_mesh`; None where none of them
+    changed the mesh."""
     silhouette_positions: Tensor | None = None
     """From the geometry stage: the vertices (V, 3) before photo-consistency moved them; None where it did not."""
     bounces: int | None = None

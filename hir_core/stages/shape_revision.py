@@ -1,8 +1,10 @@
-"""Shape after material: initializers revise the mesh with the fitted material and light, held-out views decide.
+"""Shape after material: held-out views decide what initializers with the trait `revises_mesh` change in the mesh.
 
-The first mesh comes from photographs alone. Where a surface reflects other parts of the object, photographs say little
-about it before the material and the light are known. A revised mesh is fitted like the first one: geometry, atlas,
-material and light. It replaces the first one where photographs that no fit has seen are explained better.
+The first mesh comes from photographs alone. Where a surface reflects other parts of the object or its surroundings,
+photographs say little about it before the material and the light are known. So the mesh without what these initializers
+changed is compared with the changed one, with a material and a light; and afterwards they are asked again, with the
+fitted material and light. Another mesh is fitted like the first one: geometry, atlas, material and light. It replaces
+the first one where photographs that no fit has seen are explained better.
 """
 
 from __future__ import annotations
@@ -20,8 +22,10 @@ from hir_core.stages.atlas import unwrap
 from hir_core.stages.geometry.geometry_fit import fit_geometry
 from hir_core.stages.initializer_result import checked_report, checked_result
 from hir_core.stages.reflectance.reflectance_fit import FittedReflectance, fit_reflectance
-from hir_core.stages.reflectance.reflectance_report import RevisionReport
+from hir_core.stages.reflectance.reflectance_report import RevisionReport, unchanged_mesh_report
 from hir_core.stages.reflectance.selection.held_out_comparison import is_within_noise, paired_gain
+from hir_core.stages.reflectance.selection.shape_selection import OtherMeshSelectedError
+from hir_core.stages.unchanged_mesh import UnchangedMesh
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -47,17 +51,24 @@ def fit_reflectance_and_revise(
     config: RunConfig,
     context: StageContext,
     silhouette_positions: Float[Tensor, "V 3"] | None = None,
+    unchanged_scene: Scene | None = None,
 ) -> FittedReflectance:
     """`fit_reflectance`, a second time on the mesh that the initializers of the chain with the trait `revises_mesh`
     make of its result, where they change it.
 
-    Not where the settings switch the geometry stage off, or where no held-out views judge a fit.
+    Not where the settings switch the geometry stage off, or where no held-out views judge a fit. `unchanged_scene` is
+    the one before such an initializer changed the mesh; None where none did.
     """
     warnings: list[str] = []
-    first = fit_reflectance(
-        scene, capture, config.reflectance, replace(context, warn=warnings.append), silhouette_positions
-    )
     names = revising_initializers(config, context.plugins)
+    first = _fit_on_better_mesh(
+        scene,
+        capture,
+        config,
+        replace(context, warn=warnings.append),
+        silhouette_positions,
+        unchanged_scene if names else None,
+    )
     if not names or first.held_out_errors is None:
         _repeat(warnings, context)
         return first
@@ -66,7 +77,8 @@ def fit_reflectance_and_revise(
         _repeat(warnings, context)
         return _reported(first, RevisionReport(tuple(names), revised.details, changed=False))
     warnings_of_second: list[str] = []
-    second = _fitted_again(revised.scene, capture, config, replace(context, warn=warnings_of_second.append))
+    bare = replace(revised.scene, material=None, environment=None, take_radiance={})
+    second = _fitted_again(bare, capture, config, replace(context, warn=warnings_of_second.append), "revised")
     assert second.held_out_errors is not None
     gain, standard_error = paired_gain(first.held_out_errors, second.held_out_errors)
     accepted = gain > 0
@@ -84,6 +96,37 @@ def fit_reflectance_and_revise(
     )
     _repeat(warnings_of_second if accepted else warnings, context)
     return _reported(second if accepted else first, report)
+
+
+def _fit_on_better_mesh(
+    scene: Scene,
+    capture: Capture,
+    config: RunConfig,
+    context: StageContext,
+    silhouette_positions: Float[Tensor, "V 3"] | None,
+    unchanged_scene: Scene | None,
+) -> FittedReflectance:
+    """`fit_reflectance` with the mesh of the scene, or, where held-out views prefer it, with the unchanged one."""
+    if unchanged_scene is None:
+        return fit_reflectance(scene, capture, config.reflectance, context, silhouette_positions)
+    unchanged = UnchangedMesh(unchanged_scene, capture, config, context)
+    warnings: list[str] = []
+    try:
+        found = fit_reflectance(
+            scene,
+            capture,
+            config.reflectance,
+            replace(context, warn=warnings.append),
+            silhouette_positions,
+            unchanged.fitted_to_silhouettes,
+        )
+        comparison = found.with_other_mesh
+        _repeat(warnings, context)
+    except OtherMeshSelectedError as error:  # the warnings were about the other mesh
+        comparison = error.comparison
+        found = _fitted_again(unchanged.initialized, capture, config, context, "unchanged")
+    report = unchanged_mesh_report(comparison, unchanged.left_out)
+    return replace(found, report=replace(found.report, unchanged_mesh=report))
 
 
 def revising_initializers(config: RunConfig, plugins: PluginManager) -> list[str]:
@@ -117,20 +160,21 @@ def _revised(
     return _RevisedMesh(fitted.scene, details, False)
 
 
-def _fitted_again(scene: Scene, capture: Capture, config: RunConfig, context: StageContext) -> FittedReflectance:
-    """Geometry, atlas, material and light on a revised mesh, from the beginning: a first wrong mesh led to a wrong
-    material.
+def _fitted_again(
+    scene: Scene, capture: Capture, config: RunConfig, context: StageContext, which: str
+) -> FittedReflectance:
+    """Geometry, atlas, material and light on another mesh, from the beginning: a first wrong mesh led to a wrong
+    material. `which` mesh it is, for the progress and the folder.
     """
 
     def report(progress: Progress) -> None:
         # curves and milestones are those of the first fit
-        message = f"revised mesh: {progress.message or progress.stage}"
+        message = f"{which} mesh: {progress.message or progress.stage}"
         context.report(replace(progress, stage="reflectance", message=message, scalars={}, milestone=""))
 
-    again = replace(context, workspace=context.checkpoints / "revised", report=report)
+    again = replace(context, workspace=context.checkpoints / which, report=report)
     again.workspace.mkdir(parents=True, exist_ok=True)
-    bare = replace(scene, material=None, environment=None, take_radiance={})
-    geometry, _ = fit_geometry(bare.to(context.device), capture, config.geometry, again)
+    geometry, _ = fit_geometry(scene.to(context.device), capture, config.geometry, again)
     again.report(Progress("atlas", 0, 1, 0.0))
     unwrapped, _ = unwrap(geometry.scene, capture, config.atlas, again)
     again.report(Progress("reflectance", 0, 1, 0.0, message="material and light"))

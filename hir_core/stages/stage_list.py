@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hir_core.capture import Capture, CoordinateFrames
+from hir_core.capture import CoordinateFrames
 from hir_core.capture.photograph_exposures import EQUAL_EXPOSURES, PhotographExposures
 from hir_core.files.file_checksums import file_hash
 from hir_core.files.json_documents import read_json, write_json
@@ -21,19 +21,8 @@ if TYPE_CHECKING:
 
     from hir_core.scene import Scene
     from hir_core.scene.map_errors import MapErrors
-    from hir_core.scene.scan import Scan
     from hir_core.stages.geometry.geometry_fit import FittedGeometry
-
-
-@dataclass(frozen=True)
-class InitializedCapture:
-    """Value of the initializer stage: capture and mesh in the working frame."""
-
-    capture: Capture
-    scene: Scene
-    frames: CoordinateFrames
-    scan: Scan | None = None
-    """For the report and for `hir evaluate`; no later stage receives its texture."""
+    from hir_core.stages.initialization import InitializedCapture
 
 
 @dataclass(frozen=True)
@@ -58,8 +47,7 @@ def _initializer_settings(state: RunState) -> Any:
 def _initialize(state: RunState, context: StageContext) -> StageResult[InitializedCapture]:
     from hir_core.stages.initialization import initialize
 
-    capture, scene, frames, scan, report = initialize(state.capture, state.config, context)
-    return StageResult(InitializedCapture(capture, scene, frames, scan), report)
+    return StageResult(*initialize(state.capture, state.config, context))
 
 
 def _save_initialized(state: RunState, value: InitializedCapture, folder: Path) -> None:
@@ -68,6 +56,8 @@ def _save_initialized(state: RunState, value: InitializedCapture, folder: Path) 
 
     save_capture(value.capture, folder)
     save_stage_scene(value.scene, folder / "scene")
+    if value.unchanged_scene is not None:
+        save_stage_scene(value.unchanged_scene, folder / UNCHANGED_SCENE)
     write_json(folder / "frames.json", value.frames.as_document())
     save_scan(value.scan, folder)
 
@@ -75,13 +65,15 @@ def _save_initialized(state: RunState, value: InitializedCapture, folder: Path) 
 def _load_initialized(state: RunState, folder: Path) -> InitializedCapture:
     from hir_core.scene.scan import load_scan
     from hir_core.scene.scene_store import load_stage_scene
+    from hir_core.stages.initialization import InitializedCapture
 
-    path = folder / "frames.json"
+    path, unchanged = folder / "frames.json", folder / UNCHANGED_SCENE
     return InitializedCapture(
         restore_capture(state.capture, folder),
         load_stage_scene(folder / "scene", state.device),
         CoordinateFrames.from_document(read_json(path), str(path)),
         load_scan(folder),
+        load_stage_scene(unchanged, state.device) if unchanged.exists() else None,
     )
 
 
@@ -90,7 +82,14 @@ def _extend_initialized(state: RunState, value: InitializedCapture) -> RunState:
     write_cameras(state.directory.cameras, in_asset_frame, state.source.view_names)
     capture = state.photographs.undistort(value.capture)
     scan_file = "" if value.scan is None else value.scan.file
-    return replace(state, capture=capture, scene=value.scene, frames=value.frames, scan_file=scan_file)
+    return replace(
+        state,
+        capture=capture,
+        scene=value.scene,
+        unchanged_scene=value.unchanged_scene,
+        frames=value.frames,
+        scan_file=scan_file,
+    )
 
 
 def _geometry_settings(state: RunState) -> Any:
@@ -150,7 +149,9 @@ def _fit_reflectance(state: RunState, context: StageContext) -> StageResult[Fitt
         return StageResult(FittedScene(scene, EQUAL_EXPOSURES, None, None), SkippedStageReport())
     from hir_core.stages.shape_revision import fit_reflectance_and_revise
 
-    found = fit_reflectance_and_revise(scene, state.capture, state.config, context, state.silhouette_positions)
+    found = fit_reflectance_and_revise(
+        scene, state.capture, state.config, context, state.silhouette_positions, state.unchanged_scene
+    )
     value = FittedScene(found.scene, found.exposures, found.report.bounces, found.map_errors)
     return StageResult(value, found.report)
 
@@ -221,6 +222,9 @@ def _extend_scene(state: RunState, scene: Scene) -> RunState:
 
 SWITCHED_OFF = "switched off"
 """The cache key of a stage that the settings switch off."""
+
+UNCHANGED_SCENE = "unchanged_scene"
+"""Folder of the scene before the first initializer with the trait `revises_mesh`."""
 
 SILHOUETTES = "silhouettes.npz"
 """Vertices of the geometry stage before photo-consistency moved them."""

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
 def decisions(document: Mapping[str, Any]) -> dict[str, str]:
     """What held-out views decided, from run.json: the selected material and light (`model`) and the shape, each beside
-    the runner-up, whether the mesh was revised, exposures that differ, and where the scale between albedo and light was
-    measured; and what gave the metres and corrected measured depths. Empty where nothing was compared or measured.
+    the runner-up, whether initializers' changes of the mesh were kept (`change`), whether it was revised (`mesh`),
+    exposures that differ, and where the scale between albedo and light was measured; and what gave the metres and
+    corrected measured depths. Empty where nothing was compared or measured.
     """
     initial = document.get("stages", {}).get("initializer", {}).get("report") or {}
     metres, depths = initial.get("scale_from"), (initial.get("depth_scale") or {}).get("sentence")
@@ -25,6 +26,7 @@ def decisions(document: Mapping[str, Any]) -> dict[str, str]:
     found = {
         "model": report.get("explanation"),
         "shape": report.get("shape"),
+        "change": report.get("unchanged_mesh"),
         "mesh": report.get("revision"),
         "exposure": report.get("exposures"),
         "scale": scale if scale.get("source") == "card" else None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -50,8 +50,9 @@ from hir_core.stages.reflectance.reflectance_report import (
 )
 from hir_core.stages.reflectance.selection.exposure_selection import exposures_differ, exposures_to_compare
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence, fits_at_once
-from hir_core.stages.reflectance.selection.model_selection import select_model
+from hir_core.stages.reflectance.selection.model_selection import Selection, select_model
 from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
+from hir_core.stages.reflectance.selection.shape_selection import OtherShape, ShapeComparison
 from hir_core.stages.reflectance.stage_progress import StageProgress
 from hir_core.stages.reflectance.take_support import check_takes
 
@@ -69,6 +70,8 @@ class FittedReflectance:
     """How the model was selected, and what each step gained."""
     held_out_errors: NDArray[np.float64] | None = None
     """Mean squared errors of the selected model on held-out views; None where nothing was compared."""
+    with_other_mesh: ShapeComparison[Any] | None = None
+    """The comparison with another mesh, which was not selected; None where there was none."""
 
 
 def fit_reflectance(
@@ -77,11 +80,13 @@ def fit_reflectance(
     settings: ReflectanceSettings,
     context: StageContext,
     silhouette_positions: Float[Tensor, "V 3"] | None = None,
+    other_scene: Callable[[], Scene] | None = None,
 ) -> FittedReflectance:
     """Material and light fitted to the photographs.
 
     With `silhouette_positions`, the vertices before photo-consistency moved them, held-out views decide which of both
-    shapes the scene has.
+    shapes the scene has. With `other_scene`, which makes the scene with another mesh, `OtherMeshSelectedError` where
+    held-out views prefer that one.
     """
     if not settings.renderer:
         raise ConfigError("reflectance.renderer is not set; choose a preset that sets it, or set it yourself")
@@ -115,16 +120,25 @@ def fit_reflectance(
         moved = replace(initial, mesh=initial.mesh.with_positions(silhouette_positions))
         return renderer.prepare(moved, capture, settings.downsample)
 
+    def on_other_mesh() -> PreparedReflectance:
+        assert other_scene is not None
+        return renderer.prepare(
+            initial_scene(other_scene(), capture, settings, by_solver), capture, settings.downsample
+        )
+
     with forward_warnings(context):
         if by_solver and isinstance(prepared, ReflectanceSolver):
             takes_terms = "regularizers" in traits
-            other_shape = None if silhouette_positions is None else on_silhouettes
-            fitted, used, shading, report, held_out_errors = _fit_by_solver(
-                initial, prepared, other_shape, takes_terms, exposures, fits_lamp, capture, settings, context
+            others = (
+                None if silhouette_positions is None else on_silhouettes,
+                None if other_scene is None else on_other_mesh,
+            )
+            fitted, used, shading, report, selection = _fit_by_solver(
+                initial, prepared, others, takes_terms, exposures, fits_lamp, capture, settings, context
             )
         else:
             fitted, report = _fit_by_gradient(initial, prepared, capture, settings, context)
-            used, shading, held_out_errors = EQUAL_EXPOSURES, prepared, None
+            used, shading, selection = EQUAL_EXPOSURES, prepared, None
     if settings.conserve_energy and fitted.material is not None:
         material, clamped = with_conserved_energy(fitted.material)
         fitted = replace(fitted, material=material)
@@ -140,49 +154,56 @@ def fit_reflectance(
         if errors is not None and fitted.material is not None and not settings.known_environment:
             errors = with_common_errors(errors, fitted.material, PRIOR_WIDTHS)
     report = replace(report, light_scale=light_scale, map_errors=None if errors is None else errors.report())
-    return FittedReflectance(fitted, used, errors, report, held_out_errors)
+    if selection is None:
+        return FittedReflectance(fitted, used, errors, report)
+    return FittedReflectance(fitted, used, errors, report, selection.held_out_errors, selection.mesh)
 
 
 def _fit_by_solver(
     scene: Scene,
     solver: ReflectanceSolver[FitT, RefinementT],
-    other_shape: Callable[[], PreparedReflectance] | None,
+    others: tuple[Callable[[], PreparedReflectance] | None, Callable[[], PreparedReflectance] | None],
     takes_terms: bool,
     exposures: Sequence[Exposures],
     fits_lamp: bool,
     capture: Capture,
     settings: ReflectanceSettings,
     context: StageContext,
-) -> tuple[Scene, PhotographExposures, PreparedReflectance, ReflectanceReport, NDArray[np.float64] | None]:
-    """Also what shades the scene with all that was modelled, and the errors on held-out views.
+) -> tuple[Scene, PhotographExposures, PreparedReflectance, ReflectanceReport, Selection[FitT]]:
+    """Also what shades the scene with all that was modelled, and how the model was selected.
 
-    `takes_terms`: the solver minimises the regularizers itself; otherwise gradient steps with them follow it.
+    `others`: the same mesh in another shape, and another mesh. `takes_terms`: the solver minimises the regularizers
+    itself; otherwise gradient steps with them follow it.
     """
     views = list(range(len(capture.views)))
     terms = solver_terms(settings.regularizers, context.plugins, context.seed, context.part_seconds)
     if terms and takes_terms:
         solver = solver.with_terms(terms)
 
-    def other_solver() -> ReflectanceSolver[FitT, RefinementT]:
-        assert other_shape is not None
-        other: ReflectanceSolver[FitT, RefinementT] = other_shape()  # type: ignore[assignment]
-        return other.with_terms(terms) if terms and takes_terms else other
+    def solver_of(prepare: Callable[[], PreparedReflectance] | None) -> OtherShape[FitT, RefinementT] | None:
+        def prepared() -> ReflectanceSolver[FitT, RefinementT]:
+            assert prepare is not None
+            other: ReflectanceSolver[FitT, RefinementT] = prepare()  # type: ignore[assignment]
+            return other.with_terms(terms) if terms and takes_terms else other
 
+        return None if prepare is None else prepared
+
+    other_shape, other_mesh = map(solver_of, others)
     progress = StageProgress(context)
     at_once = fits_at_once(solver, terms, context.device)
     fits = FitSequence(solver, progress.selecting, context.checkpoints, context.checkpoint_seconds, at_once)
-    shape = other_solver if other_shape is not None else None
     selection = select_model(
         fits,
         settings,
         len(views),
         progress,
-        shape,
+        other_shape,
         exposures,
         fits_lamp,
         takes=capture.take_numbers,
         exposures_differ=len(exposures) > 1 and exposures_differ(scene.mesh, capture),
         camera_positions=np.stack([camera.center for camera in capture.cameras]),
+        other_mesh=other_mesh,
     )
     solver = fits.solver
     fit, spec = selection.fit, selection.spec
@@ -258,7 +279,7 @@ def _fit_by_solver(
             albedo_refinement=refinement,
             path_tracing=path_tracing,
         ),
-        selection.held_out_errors,
+        selection,
     )
 
 

@@ -19,6 +19,7 @@ from hir_core.stages.reflectance.selection.exposure_selection import ExposureSel
 from hir_core.stages.reflectance.selection.held_out_comparison import is_within_noise
 from hir_core.stages.reflectance.selection.hypotheses import described, forcing_settings
 from hir_core.stages.reflectance.selection.model_selection import Selection
+from hir_core.stages.reflectance.selection.shape_selection import ShapeComparison
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,28 @@ class ShapeReport:
     """Mean PSNR on held-out views after each round, on the mesh of the silhouettes."""
     gain_db: float
     """Of the mesh of the silhouettes."""
+    standard_error_db: float
+    held_out_views: int
+    near_tie: bool
+    """Whether the gain is within noise, two standard errors."""
+    sentence: str
+    """All of it in words."""
+
+
+@dataclass(frozen=True)
+class UnchangedMeshReport:
+    """The selected hypothesis on the mesh without what initializers changed, against the same fits on the changed mesh;
+    in dB.
+    """
+
+    initializers: tuple[str, ...]
+    """Whose change was left out."""
+    selected: bool
+    """Whether the result has the mesh without their change."""
+    held_out_db: tuple[float, ...]
+    """Mean PSNR on held-out views after each round, on the unchanged mesh."""
+    gain_db: float
+    """Of the unchanged mesh."""
     standard_error_db: float
     held_out_views: int
     near_tie: bool
@@ -244,6 +267,9 @@ class ReflectanceReport:
     """None where no hypothesis with a lamp was considered."""
     shape: ShapeReport | None = None
     """Which shape the material was fitted on; None where nothing was compared."""
+    unchanged_mesh: UnchangedMeshReport | None = None
+    """Whether the mesh keeps what initializers with the trait `revises_mesh` changed; None where nothing was
+    compared."""
     revision: RevisionReport | None = None
     """Whether the mesh was revised after the fit; None where no initializer was asked."""
     takes: Sequence[str] | None = None
@@ -360,6 +386,27 @@ def shape_report(selection: Selection[FitT]) -> ShapeReport | None:
         views,
         is_within_noise(shape.gain_db, shape.standard_error_db, views),
         f"{selected}; {other}: {abs(shape.gain_db):.1f} ± {shape.standard_error_db:.1f} dB {side}",
+    )
+
+
+def unchanged_mesh_report(comparison: ShapeComparison[FitT] | None, names: Sequence[str]) -> UnchangedMeshReport | None:
+    """The comparison with the mesh without what these initializers changed; None where there was none."""
+    if comparison is None:
+        return None
+    changed = " and ".join(names)
+    kept = f"without the change of {changed}" if comparison.accepted else f"with the change of {changed}"
+    side = "worse" if (comparison.gain_db >= 0) == comparison.accepted else "better, within noise"
+    other = "with it" if comparison.accepted else "without it"
+    views = len(comparison.fit.errors)
+    return UnchangedMeshReport(
+        tuple(names),
+        comparison.accepted,
+        tuple(round(value, 3) for value in comparison.curve_db),
+        round(comparison.gain_db, 3),
+        round(comparison.standard_error_db, 3),
+        views,
+        is_within_noise(comparison.gain_db, comparison.standard_error_db, views),
+        f"{kept}; {other}: {abs(comparison.gain_db):.1f} ± {comparison.standard_error_db:.1f} dB {side}",
     )
 
 

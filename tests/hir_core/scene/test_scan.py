@@ -52,8 +52,9 @@ def test_later_stages_are_given_its_name_alone(tmp_path: Path) -> None:
     from hir_core.plugins.manager import PluginManager
     from hir_core.run.run_directory import RunDirectory
     from hir_core.scene import Scene
+    from hir_core.stages.initialization import InitializedCapture
     from hir_core.stages.run_state import CaptureSource, RunState
-    from hir_core.stages.stage_list import INITIALIZER, InitializedCapture
+    from hir_core.stages.stage_list import INITIALIZER
     from tests.fixtures.scenes import square
 
     capture = Capture(tmp_path, ())

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
@@ -125,6 +126,37 @@ class Replaces(Initializer):
         return capture, Scene(square())
 
 
+class Raises(Initializer):
+    """Moves the surface up."""
+
+    def __init__(self, _: object) -> None:
+        pass
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        assert scene is not None
+        return capture, Scene(scene.mesh.with_positions(scene.mesh.positions + 0.5))
+
+
+class Stays(Initializer):
+    """Could change the surface."""
+
+    def __init__(self, _: object) -> None:
+        pass
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        return capture, scene
+
+
+class MovesCameras(Initializer):
+    """Moves the cameras without the surface."""
+
+    def __init__(self, _: object) -> None:
+        pass
+
+    def initialize(self, capture: Capture, scene: Scene | None, workspace: Path) -> tuple[Capture, Scene | None]:
+        return capture.transformed(np.diag([2.0, 2.0, 2.0, 1.0])), scene
+
+
 class Plugin:
     """The components of this file."""
 
@@ -140,6 +172,9 @@ class Plugin:
     def hir_register_initializers(self) -> list[Component]:
         return [
             Component("reads_scan", f"{__name__}:ReadsScan", summary="Reads a scan."),
+            Component("raises", f"{__name__}:Raises", summary="Raises.", traits=frozenset({"revises_mesh"})),
+            Component("stays", f"{__name__}:Stays", summary="Stays.", traits=frozenset({"revises_mesh"})),
+            Component("moves_cameras", f"{__name__}:MovesCameras", summary="Moves cameras."),
             Component("doubles", f"{__name__}:Doubles", summary="Doubles the surface."),
             Component("replaces", f"{__name__}:Replaces", summary="Makes another surface."),
             Component("loses_one", f"{__name__}:LosesOne", summary="Loses one."),
@@ -222,8 +257,30 @@ def test_a_scan_is_kept_while_the_surface_is_its_own(
 ) -> None:
     """The texture belongs to the triangles and coordinates of its file, wherever its vertices are moved."""
     config = replace(RunConfig(), initializers=chain, masks=())
-    *_, scan, _ = initialize(capture_of(3, CAMERA), config, stage[0])
-    assert (scan is not None) == kept
+    found, _ = initialize(capture_of(3, CAMERA), config, stage[0])
+    assert (found.scan is not None) == kept
+
+
+@pytest.mark.parametrize(
+    ("chain", "known"),
+    [
+        (("reads_scan", "raises", "doubles"), True),
+        (("reads_scan", "raises", "moves_cameras"), False),
+        (("reads_scan", "stays", "doubles"), False),
+        (("reads_scan", "stays", "raises"), True),
+        (("reads_scan", "doubles"), False),
+    ],
+    ids=["changed", "later the cameras move", "not changed", "by the second one", "no trait"],
+)
+def test_the_mesh_before_a_change_that_held_out_views_judge_is_kept(
+    stage: tuple[StageContext, list[str]], chain: tuple[str, ...], known: bool
+) -> None:
+    """In the frame of the changed one, whose vertices are higher here."""
+    found, _ = initialize(capture_of(3, CAMERA), replace(RunConfig(), initializers=chain, masks=()), stage[0])
+    assert (found.unchanged_scene is not None) == known
+    if found.unchanged_scene is not None:
+        original = move_scene(found.unchanged_scene, found.frames.asset_from_working).mesh.positions
+        assert torch.allclose(original, square().positions, atol=1e-6)
 
 
 def test_takes_that_are_too_small_to_hold_views_out_are_said(stage: tuple[StageContext, list[str]]) -> None:

@@ -218,8 +218,9 @@ def test_a_run_corrects_depths_that_are_wrong_together(scale: str, tmp_path: Pat
         initializer={"sensor_depth": {"vertex_colors": False}},
         depth_maps={"scale": scale, "min_confidence": 0.4},
     )
-    moved, scene, frames, _, report = initialize(given, config, StageContext(plugins, tmp_path))
-    view, inverse = moved.views[5], np.linalg.inv(frames.asset_from_working)
+    found, report = initialize(given, config, StageContext(plugins, tmp_path))
+    scene, frames = found.scene, found.frames
+    view, inverse = found.capture.views[5], np.linalg.inv(frames.asset_from_working)
     assert view.depth is not None and view.depth.min_confidence == 0.4
     ratio = view.depth.world_per_unit / np.linalg.norm(inverse[:3, 0])
     distance = distance_of_truth(move_scene(scene, frames.asset_from_working))

@@ -4,7 +4,8 @@
 1. The simplest hypotheses decide which exposures the photographs have.
 2. Each hypothesis starts from its own initial guess; successive halving drops those that cannot catch up.
 3. Of those that tie on held-out views the simplest is selected, after a second fold of held-out views.
-4. The shape from silhouettes alone replaces the refined one where the selected hypothesis fits held-out views better.
+4. The mesh without what an initializer changed, and the shape from silhouettes alone, are selected where the selected
+   hypothesis fits held-out views better with them.
 5. Refinements are compared within it. Hypotheses that were near are then compared again with the same refinements.
 """
 
@@ -56,6 +57,7 @@ from hir_core.stages.reflectance.selection.refinement_selection import (
 )
 from hir_core.stages.reflectance.selection.requested_model import default_spec, forced_spec
 from hir_core.stages.reflectance.selection.shape_selection import (
+    OtherMeshSelectedError,
     OtherShape,
     ShapeComparison,
     compare_shapes,
@@ -115,6 +117,8 @@ class Selection(Generic[FitT]):
     comparisons: tuple[Comparison, ...] = ()
     shape: ShapeComparison[FitT] | None = None
     """None where there was one shape."""
+    mesh: ShapeComparison[FitT] | None = None
+    """With another mesh, which was not selected; None where there was none."""
     exposures: ExposureSelection = EQUAL
     held_out_errors: NDArray[np.float64] | None = None
     """Mean squared errors of the selected model on held-out views; None where nothing was compared."""
@@ -150,6 +154,7 @@ def select_model(
     takes: Sequence[int] = (),
     exposures_differ: bool = False,
     camera_positions: NDArray[np.float64] | None = None,
+    other_mesh: OtherShape[FitT, RefinementT] | None = None,
 ) -> Selection[FitT]:
     """Fits training views and decides on held-out views.
 
@@ -158,7 +163,8 @@ def select_model(
     held-out views the first. `fits_lamp`: whether the solver fits a lamp near the camera. `takes`: the number of each
     view's take, of which each leaves views to the fit. `exposures_differ`: whether photographs show the same places of
     the mesh in different brightness. `camera_positions` (views, 3), around the object at the origin: fitted exposures
-    that change smoothly from camera to camera must gain more; without them all count alike.
+    that change smoothly from camera to camera must gain more; without them all count alike. `other_mesh`: the scene
+    with other triangles; `OtherMeshSelectedError` where held-out views prefer it.
     """
     folds = model_selection_folds(views, takes)
     forced = forced_spec(settings)
@@ -182,13 +188,19 @@ def select_model(
 
     specs = [replace(each, exposures=shown.exposures) for each in _supported(fits, admitted)]
     costliest = specs[-1]
-    later_cost = expected_cost(costliest) + (shape_cost(costliest) if other_shape is not None else 0.0)
+    others = [each for each in (other_mesh, other_shape) if each is not None]
+    later_cost = expected_cost(costliest) + len(others) * shape_cost(costliest)
     halving = SuccessiveHalving(folded, specs, later_cost=later_cost, fitted=fitted)
     finalists = halving.run()
     chosen, pooled = _decide(folded, halving, finalists)
     rivals = [each for each in finalists if each is not chosen and can_catch_up(each, 1)][:MAX_RUNNERS_UP]
     later_cost = expected_cost(chosen.spec) + sum(runner_up_cost(each.spec) for each in rivals)
-    shape = None
+    mesh, shape = None, None
+    if other_mesh is not None and chosen.last.held_out_db < SUFFICIENT_DB:
+        folded.expect(len(others) * shape_cost(chosen.spec) + later_cost)
+        mesh = compare_shapes(fits, halving, chosen, other_mesh)
+        if mesh.accepted:
+            raise OtherMeshSelectedError(mesh)
     if other_shape is not None and chosen.last.held_out_db < SUFFICIENT_DB:
         folded.expect(shape_cost(chosen.spec) + later_cost)
         shape = compare_shapes(fits, halving, chosen, other_shape)
@@ -236,6 +248,7 @@ def select_model(
         tuple(margin for _, margin in margins),
         tuple(refinement.comparisons),
         shape,
+        mesh,
         shown,
         refinement.fit.errors,
         lamp,

@@ -1,4 +1,5 @@
-"""Whether the mesh keeps what photo-consistency changed: decided by held-out views of the selected hypothesis.
+"""Whether the mesh keeps what photo-consistency or an initializer changed: decided by held-out views of the selected
+hypothesis.
 
 Photo-consistency assumes that a point of the surface looks alike from neighbouring views. On a polished object
 reflections move over the surface like another surface, and the views that judge photo-consistency see the same
@@ -20,7 +21,7 @@ from hir_core.stages.reflectance.selection.held_out_comparison import is_signifi
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS, Contestant, SuccessiveHalving
 
 OtherShape: TypeAlias = Callable[[], ReflectanceSolver[FitT, RefinementT]]
-"""Prepares the same scene with the vertices of another shape; the triangles are the same, so fits can continue."""
+"""Prepares the scene with another shape. Where it has the same triangles, fits can continue with it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,14 @@ class ShapeComparison(Generic[FitT]):
     standard_error_db: float
     accepted: bool
     """Whether the other shape was selected."""
+
+
+class OtherMeshSelectedError(Exception):
+    """Held-out views prefer a mesh with other triangles: geometry and material are to be fitted again on that one."""
+
+    def __init__(self, comparison: ShapeComparison[FitT]) -> None:
+        super().__init__("held-out views prefer the other mesh")
+        self.comparison = comparison
 
 
 def compare_shapes(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from hir_core.config import ReflectanceSettings
 from hir_core.plugins.model_spec import ModelSpec
 from hir_core.report.model_selection_table import model_selection
 from hir_core.scene import Material, Scene
-from hir_core.stages.reflectance.reflectance_report import shape_report
+from hir_core.stages.reflectance.reflectance_report import shape_report, unchanged_mesh_report
 from hir_core.stages.reflectance.selection.fit_sequence import FitSequence
 from hir_core.stages.reflectance.selection.model_selection import Selection, select_model
+from hir_core.stages.reflectance.selection.shape_selection import OtherMeshSelectedError
 from hir_core.stages.reflectance.selection.successive_halving import ROUNDS
 from hir_core.terminal.run_results import decisions
 from tests.fixtures.made_captures import around, ball, fitted, lamps, photographs
@@ -70,6 +72,41 @@ def test_a_shape_that_is_behind_gets_no_further_round() -> None:
     assert shape is not None and not shape.accepted and shape.gain_db == pytest.approx(-2)
     assert len(shape.curve_db) == 1 and {effort for _, effort, _ in silhouettes.budgets} == {ROUNDS[0].effort}
     assert fits.solver is refined
+
+
+def with_other_mesh(own: Scripted, other: Scripted, silhouettes: Scripted | None = None) -> Selection[Fit]:
+    recorder = Recorder()
+    shape = None if silhouettes is None else lambda: silhouettes
+    fits = FitSequence(own, recorder.progress)
+    selection = select_model(fits, ReflectanceSettings(), 48, recorder, shape, other_mesh=lambda: other)
+    assert fits.solver is own and recorder.shares == sorted(recorder.shares) and recorder.shares[-1] <= 1
+    return selection
+
+
+def test_another_mesh_ends_the_selection_where_held_out_views_gain() -> None:
+    """Refinements on the wrong mesh would be in vain."""
+    own, other = metal_is_better(20, 0.05), metal_is_better(22, 0.05, seed=1)
+    with pytest.raises(OtherMeshSelectedError) as raised:
+        with_other_mesh(own, other, silhouettes=metal_is_better(30))
+    comparison = raised.value.comparison
+    assert comparison.accepted and comparison.gain_db == pytest.approx(2, abs=0.2)
+    assert {spec.kind for spec, _ in other.fitted} == {"metal"} and len(comparison.curve_db) == len(ROUNDS)
+    assert all(spec.normals == "mesh" for spec, _ in own.fitted), "no refinement"
+    report = unchanged_mesh_report(comparison, ["hollows"])
+    assert report is not None and report.selected
+    assert re.fullmatch(r"without the change of hollows; with it: \d\.\d ± 0\.\d dB worse", report.sentence)
+
+
+@pytest.mark.parametrize("other_db", [18.0, 20.05])
+def test_another_mesh_is_left_where_held_out_views_do_not_gain_clearly(other_db: float) -> None:
+    selection = with_other_mesh(metal_is_better(20, 0.3), metal_is_better(other_db, 0.3, seed=1))
+    assert selection.mesh is not None and not selection.mesh.accepted
+    document = {"stages": {"reflectance": {"report": {"unchanged_mesh": None, "model": "metal"}}}}
+    report = unchanged_mesh_report(selection.mesh, ["hollows"])
+    assert report is not None and report.sentence.startswith("with the change of hollows; without it: ")
+    document["stages"]["reflectance"]["report"]["unchanged_mesh"] = vars(report)
+    assert decisions(document) == {"change": report.sentence}
+    assert f"Mesh {report.sentence} (6 held-out views)." in str(model_selection(document, ()))
 
 
 def test_without_held_out_views_nothing_is_compared() -> None:
