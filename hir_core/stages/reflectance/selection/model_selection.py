@@ -64,6 +64,7 @@ from hir_core.stages.reflectance.selection.shape_selection import (
     shape_cost,
 )
 from hir_core.stages.reflectance.selection.successive_halving import (
+    MIN_GROWTH_DB,
     ROUNDS,
     Contestant,
     SuccessiveHalving,
@@ -198,7 +199,7 @@ def select_model(
     mesh, shape = None, None
     if other_mesh is not None and chosen.last.held_out_db < SUFFICIENT_DB:
         folded.expect(len(others) * shape_cost(chosen.spec) + later_cost)
-        mesh = compare_shapes(fits, halving, chosen, other_mesh)
+        mesh = compare_shapes(fits, halving, chosen, other_mesh, MIN_GROWTH_DB)
         if mesh.accepted:
             raise OtherMeshSelectedError(mesh)
     if other_shape is not None and chosen.last.held_out_db < SUFFICIENT_DB:

@@ -52,18 +52,20 @@ def compare_shapes(
     halving: SuccessiveHalving[FitT, RefinementT],
     chosen: Contestant[FitT],
     other_shape: OtherShape[FitT, RefinementT],
+    growth_db: float = 0.0,
 ) -> ShapeComparison[FitT]:
-    """Gives the selected hypothesis on the other shape the rounds that it had, as long as it is ahead.
+    """Gives the selected hypothesis on the other shape the rounds that it had, as long as it is ahead, or can be where
+    it gains `growth_db` on the first shape in each round that is left.
 
     Where held-out views gain significantly `fits` continues with the solver of the other shape.
     """
     refined, fits.solver = fits.solver, other_shape()
     fit, curve, gain, standard_error = None, [], 0.0, 0.0
-    for before, budget in zip(chosen.rounds, ROUNDS, strict=True):
+    for number, (before, budget) in enumerate(zip(chosen.rounds, ROUNDS, strict=True), 1):
         fit = halving.fit_round(chosen.spec, fit, budget)
         curve.append(fit.held_out_db)
         gain, standard_error = paired_gain(before.errors, fit.errors)
-        if gain <= 0:
+        if gain <= -growth_db * (len(ROUNDS) - number):
             break
     assert fit is not None
     accepted = is_significant(gain, standard_error, len(fit.errors))

@@ -97,6 +97,19 @@ def test_another_mesh_ends_the_selection_where_held_out_views_gain() -> None:
     assert re.fullmatch(r"without the change of hollows; with it: \d\.\d ± 0\.\d dB worse", report.sentence)
 
 
+def test_another_mesh_may_be_behind_at_first_by_what_two_rounds_can_gain() -> None:
+    """A fit on the true mesh needs more steps until reflections are sharp."""
+
+    def late(spec: ModelSpec, effort: float) -> float:
+        return level(18.6 + 9 * min(effort, 1.0) ** 2 + 3 * (spec.kind == "metal"))
+
+    with pytest.raises(OtherMeshSelectedError):
+        with_other_mesh(metal_is_better(20), Scripted(late))
+    hopeless = metal_is_better(17.9)
+    selection = with_other_mesh(metal_is_better(20), hopeless)
+    assert selection.mesh is not None and len(selection.mesh.curve_db) == 1
+
+
 @pytest.mark.parametrize("other_db", [18.0, 20.05])
 def test_another_mesh_is_left_where_held_out_views_do_not_gain_clearly(other_db: float) -> None:
     selection = with_other_mesh(metal_is_better(20, 0.3), metal_is_better(other_db, 0.3, seed=1))
