@@ -11,6 +11,7 @@ NeRF-synthetic has them, a split `relight_N` for each other light, PNGs with str
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import math
 import shutil
@@ -167,11 +168,18 @@ def known_strength(
     """The strength of a light, measured once and stored: a capture that is continued keeps its exposure."""
     path = options.folder / "strength.json"
     known: dict[str, float] = json.loads(path.read_text()) if path.is_file() else {}
-    name = Path(light).name
-    if name not in known:
-        known[name] = measured_strength(scene, lamp, options)
+    key = strength_key(light)
+    if key not in known:
+        known[key] = measured_strength(scene, lamp, options)
         path.write_text(json.dumps(known))
-    return known[name]
+    return known[key]
+
+
+def strength_key(light: str) -> str:
+    """The name of a light's file and a hash of its bytes: files of one name in two folders are two lights."""
+    if light == "camera":
+        return light
+    return f"{Path(light).name} {hashlib.sha256(Path(light).read_bytes()).hexdigest()[:16]}"
 
 
 def set_strength(scene: bpy.types.Scene, lamp: bpy.types.Object | None, strength: float) -> None:

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from operator import index
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
-_RANGE: Final = "range"
-"""Key of a field's metadata: smallest and largest value."""
+RANGE: Final = "range"
+"""Key of a field's metadata: smallest and largest value of it, or of each of its values."""
 
 
 def _number(default: Any, low: float, high: float) -> Any:
     """A field whose value, or each of whose values, is from `low` to `high`."""
-    return field(default=default, metadata={_RANGE: (low, high)})
+    return field(default=default, metadata={RANGE: (low, high)})
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class CheckedOptions:
         hints = get_type_hints(type(self))
         for option in fields(self):
             value = getattr(self, option.name)
-            low, high = option.metadata.get(_RANGE, (-math.inf, math.inf))
+            low, high = option.metadata.get(RANGE, (-math.inf, math.inf))
             object.__setattr__(self, option.name, _checked(option.name, value, hints[option.name], low, high))
 
 
@@ -34,23 +35,37 @@ def _checked(name: str, value: Any, hint: Any, low: float, high: float) -> Any:
     """The value, or `ValueError`. `hint` is bool, int, float, a tuple of these, or a `Literal`."""
     kind = get_origin(hint)
     if kind is Literal:
-        if value not in get_args(hint):
-            raise ValueError(f"{name} is {value!r}; it is one of {', '.join(map(repr, get_args(hint)))}")
+        if not isinstance(value, str) or value not in get_args(hint):
+            raise ValueError(f"{name} is {_shown(value)}; it is one of {', '.join(map(repr, get_args(hint)))}")
         return value
     if kind is tuple:
-        if isinstance(value, str) or not hasattr(value, "__iter__"):
-            raise ValueError(f"{name} is {value!r}; it is a list of numbers")
+        if isinstance(value, str | bytes | dict | set | frozenset) or not hasattr(value, "__iter__"):
+            raise ValueError(f"{name} is {_shown(value)}; it is a list of numbers from {low:.10g} to {high:.10g}")
         return tuple(_checked(name, entry, get_args(hint)[0], low, high) for entry in value)
     if hint is bool:
         if not isinstance(value, bool):
-            raise ValueError(f"{name} is {value!r}; it is True or False")
+            raise ValueError(f"{name} is {_shown(value)}; it is True or False")
         return value
-    whole = hint is int
-    if isinstance(value, bool) or not hasattr(value, "__index__" if whole else "__float__"):
-        raise ValueError(f"{name} is {value!r}; it is a{' whole' if whole else ''} number")
-    if not low <= value <= high:
-        raise ValueError(f"{name} is {value!r}; it must be from {low:.10g} to {high:.10g}")
-    return int(value) if whole else float(value)
+    return _checked_number(name, value, hint is int, low, high)
+
+
+def _checked_number(name: str, value: Any, whole: bool, low: float, high: float) -> float:
+    try:
+        if isinstance(value, bool | str | bytes):
+            raise TypeError
+        number = index(value) if whole else float(value)
+    except (TypeError, ValueError, OverflowError):
+        needed = f"a{' whole' if whole else ''} number from {low:.10g} to {high:.10g}"
+        raise ValueError(f"{name} is {_shown(value)}; it is {needed}") from None
+    if not low <= number <= high:
+        raise ValueError(f"{name} is {_shown(value)}; it must be from {low:.10g} to {high:.10g}")
+    return number
+
+
+def _shown(value: Any) -> str:
+    """A value in a message of one line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:79]}…"
 
 
 DEFAULT_LIGHTS: Final = 8
@@ -227,3 +242,8 @@ class CubemapConfig(HarmonicsConfig):
 
     size: int = _number(256, 16, 4096)
     """Side of the first level in pixels, a power of two; the last level, 16 pixels, is for roughness 1."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.size & (self.size - 1):
+            raise ValueError(f"size is {self.size}; it must be a power of two from 16 to 4096")

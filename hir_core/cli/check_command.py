@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -117,23 +116,28 @@ def with_progress(capture: Capture) -> Capture:
     from hir_core.plugins.progress import Throttle
     from hir_core.terminal.progress_bar import LINE_SECONDS
 
-    throttle, decoded = Throttle(LINE_SECONDS), count(1)
+    throttle = Throttle(LINE_SECONDS)
+    times_read = [0] * len(capture.views)
 
-    def counted(read: Callable[[], Pixels]) -> Callable[[], Pixels]:
+    def counted(index: int, read: Callable[[], Pixels]) -> Callable[[], Pixels]:
         def read_and_report() -> Pixels:
-            pixels, number = read(), next(decoded)
+            pixels = read()
+            times_read[index] += 1
             if throttle.ready:
                 throttle.restart()
+                reading = times_read[index]
+                number = sum(times >= reading for times in times_read)
                 click.echo(
-                    f"decoded {number} of about {2 * len(capture.views)} (each photograph twice); "
-                    "--photographs N checks fewer, Ctrl-C stops",
+                    f"decoded {number} of {len(capture.views)} photographs (reading {reading}, each is read at least "
+                    "twice); --photographs N checks fewer, Ctrl-C stops",
                     err=True,
                 )
             return pixels
 
         return read_and_report
 
-    return replace(capture, views=tuple(replace(view, read=counted(view.read)) for view in capture.views))
+    views = (replace(view, read=counted(i, view.read)) for i, view in enumerate(capture.views))
+    return replace(capture, views=tuple(views))
 
 
 def surface_of(mesh: Path, capture: Capture) -> tuple[Array, Array]:

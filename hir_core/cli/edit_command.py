@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -56,13 +57,16 @@ def edit_command(
     The run itself is not changed.
     """
     require_reconstruction_packages("hir edit")
-    from hir_core.errors import ConfigError
+    from hir_core.errors import ConfigError, InputError
     from hir_core.plugins.manager import PluginManager
     from hir_core.rendering.asset_edit import AssetEdit, edit_run
+    from hir_core.terminal.run_results import say_earlier_scene
 
     edit = AssetEdit(roughness, tint, specular, light, metalness)
     if edit == AssetEdit():
         raise ConfigError("nothing would change; give --roughness, --tint, --specular, --metalness or --light")
+    with suppress(InputError):  # a damaged run.json does not keep a scene from being edited
+        say_earlier_scene(source, "the edit starts from")
     for path in edit_run(source, edit, output, PluginManager.discover(plugin_files), picture, size):
         if not quiet:
             click.echo(str(path))

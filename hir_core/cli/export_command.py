@@ -246,22 +246,11 @@ def _asset(source: Path, maps: dict[str, str], light: Path | None) -> Asset:
     folder = scene_folder(source)
     if folder != source:
         from hir_core.run.run_directory import refuse_links
+        from hir_core.terminal.run_results import say_earlier_scene
 
         refuse_links(source)
-        _warn_of_an_earlier_scene(source)
+        say_earlier_scene(source, "the files show")
     return load_scene(folder)
-
-
-def _warn_of_an_earlier_scene(run: Path) -> None:
-    """One sentence where the run was started again and has not reached its scene since then."""
-    from hir_core.run.run_directory import RunDirectory
-
-    if (run / "run.json").is_file() and not RunDirectory(run).has_finished_scene:
-        click.echo(
-            f"hir: {run}: its latest call ended before the stage bake, so the files show the scene of an earlier one; "
-            "finish the run with: hir reconstruct … --resume",
-            err=True,
-        )
 
 
 def _in_take(asset: Asset, run: Path, take: str) -> Asset:

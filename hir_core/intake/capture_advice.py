@@ -130,8 +130,11 @@ def _advice_on_masks(check: CaptureCheck, unmasked: Sequence[str]) -> str:
             f"{fact}: to estimate cameras of several takes, all need one, because takes are joined by features of the "
             "object alone"
         )
-    if check.with_camera == count and len(unmasked) < count and not check.points:
-        return f"{fact}, and the capture has no points to make one from: add the masks, or remove these photographs"
+    if check.with_camera == count and 2 * len(unmasked) <= count and not check.points:
+        return (
+            f"{fact}, and the capture has no points to make one from: hir reconstruct leaves these photographs out; "
+            "add their masks to use them"
+        )
     return (
         f"{fact}: hir reconstruct makes them from colours and reconstructed points; where these are wrong, put masks "
         "into a folder 'masks'"

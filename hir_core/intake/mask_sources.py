@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from hir_core.capture import Capture
-from hir_core.errors import PluginError
+from hir_core.errors import CaptureError, PluginError
 from hir_core.plugins.registration import a_value
 
 if TYPE_CHECKING:
@@ -51,7 +53,8 @@ def apply_mask_sources(
 
     `known` chooses the sources that need just that. Sources that `masks` names replace the masks of the capture's
     files, but not those of a source that was called before. `options` holds the options of each source, `seed` is
-    the run's.
+    the run's. An automatic source that needs cameras and cannot make masks, such as one without points, is a warning
+    where most views have a mask.
     """
     names = [
         name
@@ -69,7 +72,13 @@ def apply_mask_sources(
         if not needed:
             break
         source: MaskSource = plugins.create("mask_source", name, options.get(name), seed)
-        found = source.masks(capture, scene)
+        try:
+            found = source.masks(capture, scene)
+        except CaptureError as error:
+            if masks != "auto" or known != "cameras" or not _are_few(len(needed), capture):
+                raise
+            warnings.warn(str(error), stacklevel=2)
+            continue
         if not isinstance(found, list | tuple) or len(found) != len(capture.views):
             count = f"of {len(found)} values " if isinstance(found, list | tuple) else ""
             raise PluginError(
@@ -85,6 +94,25 @@ def apply_mask_sources(
         needed = [i for i in needed if found[i] is None]
         capture = replace(capture, views=tuple(views))
     return capture
+
+
+def without_unmasked_views(capture: Capture) -> Capture:
+    """The capture without the views that lack a mask, where these are at most half; a warning names them."""
+    masked = [view.pixels().mask is not None for view in capture.views]
+    unmasked = [view.name for view, has_mask in zip(capture.views, masked, strict=True) if not has_mask]
+    if not unmasked or not _are_few(len(unmasked), capture):
+        return capture
+    warnings.warn(
+        f"{len(unmasked)} of {len(capture.views)} photographs have no mask and are left out: "
+        f"{', '.join(unmasked[:8])}{', …' if len(unmasked) > 8 else ''}; add their masks to use them",
+        stacklevel=2,
+    )
+    return replace(capture, views=tuple(compress(capture.views, masked)))
+
+
+def _are_few(unmasked: int, capture: Capture) -> bool:
+    """Whether the masked views suffice for a fit without those that lack a mask."""
+    return 2 * unmasked <= len(capture.views)
 
 
 def with_automatic_masks(capture: Capture, plugins: PluginManager) -> Capture:

@@ -14,6 +14,8 @@ from difflib import get_close_matches
 from functools import cache
 from typing import Any, Literal, TypeVar, get_type_hints
 
+from hir_exporters.format_options import RANGE
+
 from hir_core.errors import ConfigError
 
 Options = TypeVar("Options")
@@ -77,6 +79,8 @@ def build_options(kind: type[Options], values: Mapping[str, Any], owner: str, be
             return kind()
     from pydantic import ValidationError
 
+    if (truth := _truth_for_number(kind, values)) is not None:  # pydantic takes True for 1
+        raise ConfigError(f"{owner}: {_type_sentence(kind, *truth, _NEEDED['float_type'])}")
     try:
         checked = _validator(kind)(**values)  # type: ignore[arg-type] # classes are hashable
     except ValidationError as error:
@@ -105,6 +109,10 @@ def options_schema(kind: type) -> dict[str, Any]:
                 schema["properties"][name]["description"] = described_option["description"]
     for name in _fields_with(kind, SEED_OF_RUN):
         schema["properties"][name] |= {"minimum": 0, "maximum": MAX_SEED}
+    for name in _fields_with(kind, RANGE):
+        entry = schema["properties"][name]
+        low, high = kind.__dataclass_fields__[name].metadata[RANGE]  # type: ignore[attr-defined] # a dataclass
+        entry.get("items", entry).update(minimum=low, maximum=high)
     _add_units(kind, schema, schema)
     return schema
 
@@ -184,6 +192,38 @@ def _entry_at(kind: type, place: tuple[Any, ...]) -> Mapping[str, Any]:
     return entry
 
 
+_NEEDED = {
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "a whole number"),
+    **dict.fromkeys(("float_type", "float_parsing"), "a number"),
+    "finite_number": "a finite number",
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
+    "string_type": "text",
+}
+"""What an option must be, by the type of pydantic's error for a value of another type."""
+
+
+def _type_sentence(kind: type, place: tuple[Any, ...], given: Any, needed: str) -> str:
+    """One sentence for a value of a wrong type at `place` inside a configuration."""
+    allowed = range_and_unit(_entry_at(kind, place))
+    return f"option {'.'.join(map(str, place))!r} is {given!r}; it must be {needed}{f' ({allowed})' if allowed else ''}"
+
+
+def _truth_for_number(
+    kind: type, values: Mapping[str, Any], place: tuple[Any, ...] = ()
+) -> tuple[tuple[Any, ...], bool] | None:
+    """The first True or False for an option that is a number, with its place; None where there is none."""
+    hints = get_type_hints(kind) if is_dataclass(kind) else {}
+    for name, value in values.items():
+        hint, inside = hints.get(name), (*place, name)
+        if isinstance(value, bool) and hint in (int, float):
+            return inside, value
+        if isinstance(value, Mapping) and isinstance(hint, type):
+            found = _truth_for_number(hint, value, inside)
+            if found is not None:
+                return found
+    return None
+
+
 def _sentence(error: Any, kind: type, beside: tuple[str, ...] = ()) -> str:
     parts = []
     unions: dict[str, list[str]] = {}
@@ -211,6 +251,10 @@ def _sentence(error: Any, kind: type, beside: tuple[str, ...] = ()) -> str:
         allowed = range_and_unit(_entry_at(kind, problem["loc"]))
         if problem["type"] in RANGE_ERRORS and allowed:
             parts.append(f"option {key!r} is {problem['input']!r}; it must be {allowed}")
+        elif problem["type"] == "literal_error":
+            parts.append(f"option {key!r} is {problem['input']!r}; it must be {problem['ctx']['expected']}")
+        elif problem["type"] in _NEEDED:
+            parts.append(_type_sentence(kind, problem["loc"], problem["input"], _NEEDED[problem["type"]]))
         else:
             needed = f"; it is a number {allowed}" if allowed else ""
             said = f"{problem['msg'][0].lower()}{problem['msg'][1:]}"

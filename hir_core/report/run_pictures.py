@@ -39,7 +39,7 @@ def render_pictures(
     options: Mapping[str, Any] | None = None,
     exr: bool = False,
 ) -> Iterator[Path]:
-    """Writes PNGs (sRGB, unassociated alpha) into `folder`, one by one, and yields their paths.
+    """Writes PNGs (sRGB, unassociated alpha) into `folder`, one by one, and yields the paths of all files.
 
     `views` are names of the run's photographs; `orbit` is a number of cameras around the object at `elevation` degrees,
     with `size`² pixels. `exr` adds linear premultiplied files. `InputError` where a view does not exist.
@@ -76,3 +76,5 @@ def render_pictures(
         if exr:
             write_exr(folder / f"{name}.exr", image)
         yield folder / f"{name}.png"
+        if exr:
+            yield folder / f"{name}.exr"

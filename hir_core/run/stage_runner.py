@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import shutil
@@ -9,12 +10,12 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from hir_core.errors import InputError
-from hir_core.files.json_documents import jsonable
+from hir_core.errors import HirError, InputError
+from hir_core.files.json_documents import jsonable, read_json, write_json
 from hir_core.plugins.manager import PluginManager
-from hir_core.plugins.progress import Progress
+from hir_core.plugins.progress import Progress, Throttle
 from hir_core.run.determinism import seed_everything
 from hir_core.run.machine import peak_memory_bytes, processor_seconds, return_freed_memory
 from hir_core.run.progress_listener import ProgressListener
@@ -22,6 +23,9 @@ from hir_core.run.run_directory import LAST_STAGE, RECORD, RunDirectory, StageRe
 from hir_core.run.run_records import RunRecords, current_time
 from hir_core.run.stage import Stage, State, Value
 from hir_core.run.stage_context import StageContext
+
+_SPENT: Final = "seconds.json"
+_STORE_INTERVAL_S: Final = 10.0
 
 
 @dataclass
@@ -95,11 +99,16 @@ class StageRunner:
         warnings: list[str] = []
         context = self._context(name, self.directory.begin(name, self.key), listener, warnings)
         seed_everything(self.context.seed)
-        started, cpu_started = time.perf_counter(), processor_seconds()
-        with listener.heartbeat():
-            result = stage.compute(state, context)
-        seconds, cpu_seconds = time.perf_counter() - started, processor_seconds() - cpu_started
-        listener.close(seconds)
+        clock = _StageClock(context.workspace / _SPENT)
+        context = replace(context, report=clock.after(context.report))
+        try:
+            with listener.heartbeat():
+                result = stage.compute(state, context)
+        except BaseException:
+            clock.store()
+            raise
+        (seconds, cpu_seconds), earlier = clock.spent(), clock.earlier[0]
+        listener.close(seconds - earlier)
         folder = self.directory.stage(name)
         stage.save(state, result.value, folder)
         listener.write(folder / "curves.npz")
@@ -107,15 +116,17 @@ class StageRunner:
         record = StageRecord(name, self.key, True, result.report_document(), tuple(warnings), files)
         self.directory.finish(record)
         shutil.rmtree(context.checkpoints, ignore_errors=True)
+        (context.workspace / _SPENT).unlink(missing_ok=True)
         return_freed_memory()
-        self.on_message(f"{name}: {seconds:.1f} s")
+        before = f", {earlier:.1f} s of them before it was interrupted" if earlier else ""
+        self.on_message(f"{name}: {seconds:.1f} s{before}")
         timings = {
             "seconds": round(seconds, 3),
             "processor_seconds": round(cpu_seconds, 3),
             "peak_memory_bytes": peak_memory_bytes(),
             "finished": current_time(),
-            "progress": listener.seconds,
-            "milestones": listener.milestones,
+            "progress": [(step, round(earlier + reached, 3)) for step, reached in listener.seconds],
+            "milestones": [(text, round(earlier + reached, 3)) for text, reached in listener.milestones],
         }
         if context.part_seconds:
             timings["part_seconds"] = {part: round(spent, 3) for part, spent in context.part_seconds.items()}
@@ -128,6 +139,52 @@ class StageRunner:
                 self.on_message(f"{name}: warning: {sentence}")
 
         return replace(self.context, workspace=workspace, part_seconds={}, report=listener.report, warn=warn)
+
+
+class _StageClock:
+    """Wall-clock and processor seconds of a stage, those of earlier calls that were interrupted in it included.
+
+    They are stored every `_STORE_INTERVAL_S`, as a call may end without a word.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._started, self._processor_started = time.perf_counter(), processor_seconds()
+        self._throttle = Throttle(_STORE_INTERVAL_S)
+        self.earlier = _stored_seconds(path)
+        """Of earlier calls."""
+
+    def spent(self) -> tuple[float, float]:
+        """Of all calls."""
+        seconds, cpu_seconds = time.perf_counter() - self._started, processor_seconds() - self._processor_started
+        return self.earlier[0] + seconds, self.earlier[1] + cpu_seconds
+
+    def after(self, report: Callable[[Progress], None]) -> Callable[[Progress], None]:
+        """`report`, and then the times are stored where the last ones are old."""
+
+        def report_and_store(progress: Progress) -> None:
+            report(progress)
+            if self._throttle.ready:
+                self._throttle.restart()
+                self.store()
+
+        return report_and_store
+
+    def store(self) -> None:
+        """Writes the times; a full disk is found by what needs its files."""
+        seconds, cpu_seconds = self.spent()
+        with contextlib.suppress(OSError, HirError):
+            write_json(self._path, {"seconds": round(seconds, 3), "processor_seconds": round(cpu_seconds, 3)})
+
+
+def _stored_seconds(path: Path) -> tuple[float, float]:
+    """What `_StageClock` stored; zeros where there is nothing, or what is there is damaged."""
+    try:
+        document = read_json(path)
+        seconds, cpu_seconds = float(document["seconds"]), float(document["processor_seconds"])
+    except (InputError, KeyError, TypeError, ValueError):
+        return 0.0, 0.0
+    return (seconds, cpu_seconds) if 0 <= min(seconds, cpu_seconds) <= max(seconds, cpu_seconds) < 1e9 else (0.0, 0.0)
 
 
 def cache_key(*parts: Any) -> str:

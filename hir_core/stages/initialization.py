@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from hir_core.capture import Capture, CoordinateFrames
+from hir_core.capture import Capture, CoordinateFrames, Pixels
 from hir_core.config import RunConfig
 from hir_core.errors import CaptureError, StageError
 from hir_core.files.file_checksums import file_hash
 from hir_core.intake.depth_scale import DepthScale, with_depth_scale
-from hir_core.intake.mask_sources import Known, apply_mask_sources, mask_source_names
+from hir_core.intake.mask_sources import (
+    Known,
+    apply_mask_sources,
+    mask_source_names,
+    needed_by,
+    without_unmasked_views,
+)
 from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
@@ -94,6 +100,8 @@ def initialize(
         posed = bool(capture.views) and all(view.camera is not None for view in capture.views)
         if not masked and posed and i > max(finders, default=-1):
             capture = apply_masks(capture, scene, config, context, "cameras")
+            if not _mesh_gives_masks(config, context.plugins):
+                capture = _masked_only(capture, context)
             masked = True
         if not scaled and _has_trait(name, "makes_surface", context.plugins):
             # cameras are final where a surface is made from them
@@ -123,7 +131,7 @@ def initialize(
         raise StageError(
             f"the initializers {', '.join(chain)} made no surface; end the chain with one that makes a surface"
         )
-    capture = apply_masks(capture, scene, config, context, "mesh")
+    capture = _masked_only(apply_masks(capture, scene, config, context, "mesh"), context)
     if len(capture.views) < MIN_VIEWS:
         context.warn(
             f"there are only {len(capture.views)} photographs: the shape is a guess where they do not look, and with "
@@ -254,7 +262,19 @@ def _with_expected_masks(capture: Capture, config: RunConfig, plugins: PluginMan
         return capture
     height, width = capture.views[0].pixels().color_linear.shape[:2]
     expected = np.ones((height, width), np.float32)
-    return replace(capture, views=(replace(capture.views[0], mask=expected), *capture.views[1:]))
+    others = (replace(view, read=_WithFullMask(view.read)) for view in capture.views[1:])  # sizes may differ
+    return replace(capture, views=(replace(capture.views[0], mask=expected), *others))
+
+
+@dataclass(frozen=True)
+class _WithFullMask:
+    """Reads a photograph with a mask that is object everywhere."""
+
+    read: Callable[[], Pixels]
+
+    def __call__(self) -> Pixels:
+        pixels = self.read()
+        return replace(pixels, mask=np.ones(pixels.color_linear.shape[:2], np.float32))
 
 
 def hashes_of_files_read(capture: Capture, config: RunConfig, plugins: PluginManager) -> list[str]:
@@ -283,6 +303,18 @@ def apply_masks(
             known=known,
             seed=context.seed,
         )
+
+
+def _mesh_gives_masks(config: RunConfig, plugins: PluginManager) -> bool:
+    """Whether a source of masks waits for the initializers' mesh."""
+    found = (plugins.find("mask_source", name) for name in mask_source_names(config.masks, plugins))
+    return any(needed_by(registered.component.traits) == "mesh" for registered in found)
+
+
+def _masked_only(capture: Capture, context: StageContext) -> Capture:
+    """As `without_unmasked_views`; the warning goes to the user and to run.json."""
+    with forward_warnings(context):
+        return without_unmasked_views(capture)
 
 
 def _registered_only(capture: Capture, context: StageContext) -> Capture:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import click
 
-from hir_core.run.run_directory import LAST_STAGE, SCENE_STAGE
-
-if TYPE_CHECKING:
-    from hir_core.run.run_directory import RunDirectory
+from hir_core.run.run_directory import LAST_STAGE, SCENE_STAGE, RunDirectory
 
 
 def decisions(document: Mapping[str, Any]) -> dict[str, str]:
@@ -53,3 +51,16 @@ def show_summary(directory: RunDirectory) -> None:
     if directory.exports.is_dir():
         for file in sorted(directory.exports.iterdir()):
             click.echo(f"{'':>8}  {file.name}  {file.stat().st_size / 1e6:.2f} MB")
+
+
+def say_earlier_scene(run: Path, shown: str) -> None:
+    """One sentence on stderr where a run was started again and has not reached its scene since then.
+
+    `shown` is subject and verb of what the command makes, such as `the files show`. Other folders have no sentence.
+    """
+    if (run / "run.json").is_file() and not RunDirectory(run).has_finished_scene:
+        click.echo(
+            f"hir: {run}: its latest call ended before the stage {SCENE_STAGE}, so {shown} the scene of an earlier "
+            "one; finish the run with: hir reconstruct … --resume",
+            err=True,
+        )

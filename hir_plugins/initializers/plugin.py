@@ -19,7 +19,9 @@ from hir_plugins.initializers.options import (
 )
 
 if TYPE_CHECKING:
-    from hir_core.capture import Capture
+    from collections.abc import Sequence
+
+    from hir_core.capture import Capture, View
 
 MIN_MATCHED_VIEWS = 16
 """Photographs of one take from which hollows and stereo are suggested: on the upper hemisphere they are then about 35
@@ -158,7 +160,8 @@ def hir_register_initializers() -> list[Component]:
 def hir_suggest_initializers(capture: Capture) -> list[str] | None:
     """The visual hull, hollows and stereo, which carve it; structure from motion before them if cameras, or both masks
     and points, are missing. A capture with cameras and depth maps gets `sensor_depth` in place of the hull, and no
-    `hollows`. Cameras of a capture with masks are checked, and refined where masks and cameras disagree.
+    `hollows`. Cameras of a capture with masks for at least half of the photographs are checked, and refined where masks
+    and cameras disagree.
 
     Without `hollows` and `stereo` where photographs are too few or too small to be matched. With `color_checker` where
     the photographs show one.
@@ -171,11 +174,22 @@ def hir_suggest_initializers(capture: Capture) -> list[str] | None:
     surface.append("sensor_depth" if measured else "visual_hull")
     if _can_be_matched(capture):
         surface += ["stereo"] if measured else ["hollows", "stereo"]
-    first = capture.views[0]
-    masked = first.mask is not None or first.pixels().mask is not None
-    if posed and masked:
+    if posed and _most_have_masks(capture.views):
         return ["camera_refinement", *surface]
     return surface if posed and capture.points is not None else ["colmap", *surface]
+
+
+def _most_have_masks(views: Sequence[View]) -> bool:
+    """Whether at least half of the views have a mask; photographs are read until that is known."""
+    masked = unmasked = 0
+    for view in views:
+        if view.mask is not None or view.pixels().mask is not None:
+            masked += 1
+        else:
+            unmasked += 1
+        if 2 * masked >= len(views) or 2 * unmasked > len(views):
+            break
+    return 2 * masked >= len(views)
 
 
 def _shows_color_checker(capture: Capture) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hir_exporters.asset import Asset, AssetMaterial, validate_asset
 from hir_exporters.errors import ExportError, InputError
-from hir_exporters.format_options import GltfConfig, UsdConfig, UsdzConfig
+from hir_exporters.format_options import CubemapConfig, GltfConfig, UsdConfig, UsdzConfig
 from hir_exporters.formats import FORMATS, create_exporter
 from hir_exporters.materials import material_conversion
 from hir_exporters.reading.environment_import import read_light
@@ -142,7 +142,13 @@ def imported(statement: str) -> set[str]:
         ({"lods": "10"}, "lods is '10'; it is a list of numbers"),
         ({"budget": "huge"}, "budget is 'huge'; it is one of 'none'"),
         ({"quantize": 1}, "quantize is 1; it is True or False"),
-        ({"max_texture_size": 2.5}, "max_texture_size is 2.5; it is a whole number"),
+        ({"max_texture_size": 2.5}, "max_texture_size is 2.5; it is a whole number from 1 to 65536"),
+        ({"max_texture_size": None}, "max_texture_size is None; it is a whole number from 1 to 65536"),
+        ({"max_texture_size": np.ones(2)}, "max_texture_size is array([1., 1.]); it is a whole number from"),
+        ({"profile": np.array(["khr"])}, "profile is array(['khr'], dtype='<U3'); it is one of"),
+        ({"lods": {20, 10}}, "lods is {10, 20}; it is a list of numbers from 1 to"),
+        ({"lods": None}, "lods is None; it is a list of numbers from 1 to"),
+        ({"lods": ["10"]}, "lods is '10'; it is a whole number from 1 to"),
     ],
 )
 def test_options_are_checked_when_they_are_made(options: dict[str, object], message: str) -> None:
@@ -151,6 +157,10 @@ def test_options_are_checked_when_they_are_made(options: dict[str, object], mess
     assert GltfConfig(lods=[20, 10]).lods == (20, 10)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="meters_per_unit is nan"):
         UsdConfig(meters_per_unit=float("nan"))
+    with pytest.raises(ValueError, match=r"meters_per_unit is 1(0{78})…; it is a number from 1e-09 to 1000000000$"):
+        UsdConfig(meters_per_unit=10**400)
+    with pytest.raises(ValueError, match="size is 100; it must be a power of two from 16 to 4096"):
+        CubemapConfig(size=100)
 
 
 def test_options_of_another_format_are_refused() -> None:

@@ -115,6 +115,13 @@ def test_usd_without_its_library_is_one_sentence_before_any_file(programs: Path,
 
 
 @pytest.mark.slow
+def test_an_extra_is_added_to_the_hir_that_is_installed(programs_with_usd: Path, tmp_path: Path) -> None:
+    """Messages name `pip install 'hir[usd]'`, and no registry has hir: pip takes it from the installation."""
+    pip = (programs_with_usd / "python", "-m", "pip", "install", "--dry-run", "--no-index", "hir[usd]")
+    assert "Requirement already satisfied: hir[usd]" in message(*pip, folder=tmp_path)
+
+
+@pytest.mark.slow
 def test_usd_with_its_extra(programs_with_usd: Path, scene: Path, tmp_path: Path) -> None:
     hir = programs_with_usd / "hir"
     message(hir, "export", scene, "-f", "usdz", "--thumbnail", "-o", tmp_path / "out", folder=tmp_path)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from hir_exporters.asset import Asset, validate_asset
 from hir_exporters.engines.engine_light_cache import cached_engine_light
 from hir_exporters.environment_files.ktx1_container import ktx1_bytes
-from hir_exporters.errors import ExportError
 from hir_exporters.exporter import Edit, Exporter, ExportReport, check_file_name
 from hir_exporters.files.atomic import write_bytes_atomic, write_text_atomic
 from hir_exporters.format_options import CubemapConfig, EnvironmentConfig, HarmonicsConfig
@@ -24,7 +23,7 @@ from hir_exporters.light.environment_map import (
     spherical_harmonics,
     world_radiance,
 )
-from hir_exporters.light.prefilter import LAST_LEVEL_SIZE, filament_roughness, level_sizes, prefiltered_cubemap
+from hir_exporters.light.prefilter import filament_roughness, level_sizes, prefiltered_cubemap
 from hir_exporters.textures.image_files import write_exr, write_hdr
 
 Array = NDArray[np.float64]
@@ -62,8 +61,6 @@ class KtxExporter(Exporter):
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
         start, size, destination = time.perf_counter(), self._config.size, check_file_name(destination, ".ktx")
         validate_asset(asset)
-        if size < LAST_LEVEL_SIZE or size & (size - 1) or size > 4096:
-            raise ExportError(f"a cubemap of {size} pixels a side is not a power of two from {LAST_LEVEL_SIZE} to 4096")
         radiance, warnings = _radiance(asset, self._config)
         levels = len(level_sizes(size))
         cubemap = prefiltered_cubemap(radiance, [filament_roughness(k, levels) for k in range(levels)], size)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hir_core.errors import ConfigError
+from hir_core.errors import ConfigError, InputError
 from hir_core.terminal.command_options import FOLDER, verbosity_options
 
 if TYPE_CHECKING:
@@ -35,11 +35,14 @@ def view_command(
     only and loads nothing from the network. Press Ctrl-C to stop the server.
     """
     from hir_core.run.python_warnings import forward_user_warnings
+    from hir_core.terminal.run_results import say_earlier_scene
     from hir_plugins.commands.viewer.page_server import serve
     from hir_plugins.commands.viewer.viewer_page import view_page
 
     if save is not None and save.suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"--save {save}: the page is HTML; give a name that ends in .html")
+    with contextlib.suppress(InputError):  # a damaged run.json does not keep a scene from being shown
+        say_earlier_scene(source, "the page shows")
     with forward_user_warnings(lambda text: click.echo(f"hir: {text}", err=True)):
         page = view_page(source, light)
     if save is not None:

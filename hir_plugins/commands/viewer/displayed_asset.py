@@ -44,11 +44,12 @@ class DisplayedAsset:
     radiance: Radiance | None
 
 
-def load_displayed_asset(source: Path) -> DisplayedAsset:
+def load_displayed_asset(source: Path, other_light: bool = False) -> DisplayedAsset:
     """Reads a run directory, a scene folder or a file.
 
     An uncompressed .glb is passed on byte for byte; every other file is converted through an independent reader. The
-    light is the scene's own, or the .hdr beside the file. One warning names what a glTF has and the page does not show.
+    light is the scene's own, or the .hdr beside the file. One warning names what a glTF has and the page does not show;
+    with `other_light` the page has another light, and that in the file is not named.
     Raises `InputError` if the source cannot be displayed.
     """
     if source.is_dir():
@@ -61,7 +62,7 @@ def load_displayed_asset(source: Path) -> DisplayedAsset:
         check_geometry(source)
     content = source.read_bytes() if source.suffix.lower() == ".glb" else None
     if content is not None and not any(name in content for name in COMPRESSIONS):
-        warn_of_unshown_features(source, with_light=radiance is not None)
+        warn_of_unshown_features(source, with_light=other_light or radiance is not None)
         return DisplayedAsset(source.stem, content, radiance)
     if source.suffix.lower() not in READERS:
         readable = ", ".join(READERS)

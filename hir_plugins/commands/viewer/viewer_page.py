@@ -35,7 +35,7 @@ def view_page(source: Path, light: Path | None = None, photographs: bool = True)
     `light` is a lat-long .hdr or .exr file that replaces the asset's own light. With `photographs`, the page of a run
     contains the run's photographs for comparison. Raises `InputError` if the source cannot be displayed.
     """
-    asset = load_displayed_asset(source)
+    asset = load_displayed_asset(source, other_light=light is not None)
     radiance = asset.radiance if light is None else read_light(light)
     pictures = run_photographs(source) if photographs else []
     embedded = {module.name: module_source(module) for module in MODULES} | {"asset.glb": asset.glb}

@@ -58,7 +58,7 @@ LONG = "{tmp}/" + "a" * 5000
             for setting, message in (
                 ("geometry.regularizers.laplacian.wieght=1", "did you mean 'weight'? the options are: weight, "),
                 ("geometry.regularizers.laplacian.weight=-1", "option 'weight' is -1; it must be ≥ 0"),
-                ("geometry.regularizers.laplacian.weight=much", "option 'weight': input should be a valid number"),
+                ("geometry.regularizers.laplacian.weight=much", "option 'weight' is 'much'; it must be a number (≥ 0)"),
                 (
                     "geometry.regularizers.bilateral_specular.weight=1",
                     "the term depends on material, which the geometry stage does not fit; move it to "

@@ -16,7 +16,9 @@ from hir_core.errors import InputError
 from hir_core.pipeline import Run
 from hir_core.plugins.manager import PluginManager
 from hir_core.rendering.asset_edit import AssetEdit, apply_edit, edit_run
+from hir_core.run.run_directory import RunDirectory
 from hir_core.testing.assets import textured_asset
+from tests.fixtures.command_line import hir
 
 
 def test_factors_are_those_of_engines() -> None:
@@ -162,3 +164,17 @@ def test_a_scene_without_light_needs_one_for_its_picture(tmp_path: Path) -> None
     assert written == [tmp_path / "plain" / "scene.json"]
     again = edit_run(tmp_path / "plain", AssetEdit(roughness=0.5), tmp_path / "plain", plugins, picture=False)
     assert again == written, "a scene folder may be written over"
+
+
+def test_an_unfinished_run_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_scene(textured_asset(), tmp_path / "run" / "scene")
+    run = RunDirectory(tmp_path / "run")
+    arguments = ("edit", run.path, "--roughness", 2, "--no-picture", "-q", "-o")
+    run.write_run({"stages": {"geometry": {}}})
+    assert hir(*arguments, tmp_path / "one") == 0
+    sentence = "its latest call ended before the stage bake, so the edit starts from the scene of an earlier one; "
+    assert f"hir: {run.path}: {sentence}finish the run with: hir reconstruct" in capsys.readouterr().err
+    run.write_run({"stages": {"geometry": {}, "bake": {}}})
+    assert hir(*arguments, tmp_path / "two") == 0 and capsys.readouterr().err == ""
+    (run.path / "run.json").write_text("{")
+    assert hir(*arguments, tmp_path / "three") == 0

@@ -43,7 +43,7 @@ def test_pictures_of_a_run(finished: Run, tmp_path: Path) -> None:
         output = list(
             render_pictures(finished.directory, PLUGINS, folder, orbit=1, size=16, relight=light, options=FEW, exr=True)
         )
-        assert output == [folder / "orbit_000.png"]
+        assert output == [folder / "orbit_000.png", folder / "orbit_000.exr"], "all files are named"
         picture = read_ldr(output[0])
         assert picture.shape == (16, 16, 4) and picture[8, 8, 3] == 1 and picture[0, 0, 3] == 0
         shown[strength] = read_exr(folder / "orbit_000.exr")

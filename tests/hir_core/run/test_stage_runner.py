@@ -133,6 +133,52 @@ def test_failed_stage_is_done_again_with_what_it_left_and_those_before_are_reuse
     assert again.computed == ["atlas"]
 
 
+def test_the_times_of_a_resumed_stage_contain_those_of_interrupted_calls(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr("hir_core.run.stage_runner.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("hir_core.run.stage_runner.processor_seconds", lambda: 2 * now[0])
+
+    class Slow(Chain):
+        """`atlas` takes 100 s in each call, and reaches a milestone at the beginning."""
+
+        def _stage(self, name: str, settings: dict[str, Any], fail: str) -> Stage[str, str]:
+            stage = super()._stage(name, settings, fail)
+
+            def compute(text: str, context: StageContext) -> StageResult[str]:
+                context.report(Progress("atlas", 1, 1, 0.0, milestone="begun"))
+                now[0] += 100.0
+                return stage.compute(text, context)
+
+            return stage if name != "atlas" else replace(stage, compute=compute)
+
+    for _ in range(2):
+        with pytest.raises(StageError):
+            Slow(tmp_path).run(fail="atlas")
+    again = Slow(tmp_path)
+    again.run()
+    again.records.finish()
+    timings = RunDirectory(tmp_path).read_timings()
+    entry = timings["stages"]["atlas"]
+    assert (entry["seconds"], entry["processor_seconds"], timings["seconds"]) == (300.0, 600.0, 300.0)
+    assert entry["milestones"][0][1] == pytest.approx(200.0, abs=0.1)
+    assert "atlas: 300.0 s, 200.0 s of them before it was interrupted" in again.messages
+    assert not list(tmp_path.rglob("seconds.json"))
+    changed = Slow(tmp_path)
+    changed.run(atlas={"texture_size": 512})
+    assert RunDirectory(tmp_path).read_timings()["stages"]["atlas"]["seconds"] == 100.0
+
+
+@pytest.mark.parametrize("stored", ["{", "[]", '{"seconds": 5}', '{"seconds": -1, "processor_seconds": 1}'])
+def test_damaged_times_of_an_interrupted_call_are_dropped(tmp_path: Path, stored: str) -> None:
+    with pytest.raises(StageError):
+        Chain(tmp_path).run(fail="atlas")
+    (RunDirectory(tmp_path).stage("atlas") / "work" / "seconds.json").write_text(stored)
+    Chain(tmp_path).run()
+    assert RunDirectory(tmp_path).read_timings()["stages"]["atlas"]["seconds"] < 5
+
+
 def test_metrics_stay_until_a_stage_is_computed_again(tmp_path: Path) -> None:
     Chain(tmp_path).run()
     directory = RunDirectory(tmp_path)

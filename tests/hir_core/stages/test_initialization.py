@@ -81,6 +81,16 @@ class NeedsPoints(MaskSource):
         return [np.ones((8, 8), np.float32) for _ in capture.views]
 
 
+class NeedsManyPoints(MaskSource):
+    """As grabcut without points."""
+
+    def __init__(self, _: object) -> None:
+        pass
+
+    def masks(self, capture: Capture, scene: Scene | None) -> list[NDArray[np.float32] | None]:
+        raise CaptureError("points are missing; add masks")
+
+
 class NeedsMasks(Initializer):
     """Fails without a mask."""
 
@@ -165,6 +175,12 @@ class Plugin:
         return [
             Component("every_other", f"{__name__}:EveryOther", summary="Masks of every other view."),
             Component("half", f"{__name__}:Half", summary="Half.", traits=frozenset({"needs_cameras"})),
+            Component(
+                "points",
+                f"{__name__}:NeedsManyPoints",
+                summary="None.",
+                traits=frozenset({"automatic", "needs_cameras"}),
+            ),
             Component("cut", f"{__name__}:NeedsPoints", summary="All.", traits=frozenset({"needs_cameras"})),
         ]
 
@@ -233,6 +249,31 @@ def test_photographs_without_a_camera_are_left_out_with_a_warning(stage: tuple[S
     with pytest.raises(StageError, match="the initializers loses_one made no surface"):
         initialize(capture_of(3), config, context)
     assert warned == ["1 of 3 photographs have no camera and are left out: 2"]
+
+
+@pytest.mark.parametrize("bare", [0, 2])
+def test_photographs_without_a_mask_are_left_out_with_a_warning(
+    stage: tuple[StageContext, list[str]], bare: int
+) -> None:
+    """Where the automatic sources cannot make a mask; it had ended the run."""
+    context, warned = stage
+    views = capture_of(8, CAMERA).views
+    masked = replace(BLACK, mask=np.ones((8, 8), np.float32))
+    capture = replace(
+        capture_of(0), views=tuple(v if i == bare else replace(v, read=lambda: masked) for i, v in enumerate(views))
+    )
+    found, *_ = initialize(capture, replace(RunConfig(), initializers=("hull", "replaces")), context)
+    assert [view.name for view in found.views] == [str(i) for i in range(8) if i != bare]
+    left_out = f"1 of 8 photographs have no mask and are left out: {bare}; add their masks to use them"
+    assert warned[:2] == ["points are missing; add masks", left_out]
+
+
+def test_a_capture_with_few_masks_is_not_reduced_to_them(stage: tuple[StageContext, list[str]]) -> None:
+    masked = replace(BLACK, mask=np.ones((8, 8), np.float32))
+    first, *others = capture_of(8, CAMERA).views
+    capture = replace(capture_of(0), views=(replace(first, read=lambda: masked), *others))
+    with pytest.raises(CaptureError, match="points are missing"):
+        initialize(capture, replace(RunConfig(), initializers=("replaces",)), stage[0])
 
 
 def test_masks_that_need_points_wait_for_them_where_cameras_are_given(stage: tuple[StageContext, list[str]]) -> None:

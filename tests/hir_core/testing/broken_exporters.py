@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from hir_exporters.asset import Asset, AssetMesh, validate_asset
 from hir_exporters.exporter import Edit, Exporter, ExportReport
 from hir_exporters.files.atomic import write_bytes_atomic
@@ -16,6 +17,7 @@ from hir_exporters.obj.obj_exporter import ObjExporter
 from hir_exporters.usd.usd_exporter import UsdExporter
 
 from hir_core.plugins import Component
+from hir_core.testing.assets import ball
 
 HERE = __name__
 
@@ -132,6 +134,36 @@ class PlyWithoutAWord(Ply):
     warnings = ()
 
 
+class Corners(Ply):
+    """Positions alone, in a format that no library reads."""
+
+    warnings = ()
+
+    def content(self, mesh: AssetMesh) -> np.ndarray:
+        return mesh.positions[mesh.faces].reshape(-1, 9)
+
+    def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
+        validate_asset(asset)
+        write_bytes_atomic(destination, self.content(asset.mesh).astype(np.float64).tobytes())
+        return ExportReport((destination,), self.warnings)
+
+
+class CornersWithAWarning(Corners):
+    warnings = ("texture coordinates, normals and material are not written",)
+
+
+class CornersWithNormals(Corners):
+    def content(self, mesh: AssetMesh) -> np.ndarray:
+        return np.concatenate([mesh.positions[mesh.faces], mesh.normals[mesh.faces]]).reshape(-1, 9)
+
+
+def read_corners(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and faces of what `Corners` wrote."""
+    count = len(ball().faces)
+    positions = np.frombuffer(path.read_bytes()).reshape(-1, 3)[: 3 * count]
+    return positions, np.arange(3 * count).reshape(-1, 3)
+
+
 class OneWarning(Obj):
     def write(self, asset: Asset, destination: Path, edit: Edit | None = None) -> ExportReport:
         return replace(super().write(asset, destination, edit), warnings="roughness is not written")  # type: ignore[arg-type]
@@ -178,6 +210,10 @@ def obj(implementation: type = Obj) -> Component:
 
 def ply(implementation: type = Ply) -> Component:
     return made("ply", implementation, ObjConfig, "PLY.")
+
+
+def corners(implementation: type) -> Component:
+    return replace(made("corners", implementation, ObjConfig, "Corners."), testing=f"{HERE}:read_corners")
 
 
 def usda(implementation: type = Usd) -> Component:

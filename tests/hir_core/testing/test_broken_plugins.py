@@ -46,6 +46,7 @@ SOUND = [
     ("initializer", broken_initializers.surface()),
     ("exporter", broken_exporters.obj()),
     ("exporter", broken_exporters.ply()),
+    ("exporter", broken_exporters.corners(broken_exporters.CornersWithAWarning)),
     ("exporter", broken_exporters.usda()),
 ]
 

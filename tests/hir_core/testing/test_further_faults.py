@@ -44,7 +44,7 @@ REGULARIZERS = [
 ]
 RESULT, MASKS, BACK = "returns_capture_and_scene", "masks_are_the_true_ones", "reads_back"
 surface, mask_source = broken_initializers.surface, broken_inputs.mask_source
-obj, ply = broken_exporters.obj, broken_exporters.ply
+obj, ply, corners = broken_exporters.obj, broken_exporters.ply, broken_exporters.corners
 INITIALIZERS = [
     (surface(broken_initializers.InsideOut), RESULT, "its triangles face inwards"),
     (surface(broken_initializers.FromOne), RESULT, "triangles name the vertices 1 … "),
@@ -73,6 +73,8 @@ EXPORTERS = [
     (obj(broken_exporters.NamesNoPicture), BACK, "it names no_such_picture.png, which it does not write"),
     (obj(broken_exporters.NamesNoMaterials), BACK, "it names no_such_library.mtl, which it does not write"),
     (obj(broken_exporters.OneWarning), BACK, "write a tuple of sentences"),
+    (corners(broken_exporters.Corners), BACK, "no byte depends on its texture coordinates and its normals and its mat"),
+    (corners(broken_exporters.CornersWithNormals), BACK, "no byte depends on its texture coordinates and its material"),
     (obj(broken_exporters.NoReport), BACK, "write returns None; return an ExportReport"),
 ]
 TABLE = {

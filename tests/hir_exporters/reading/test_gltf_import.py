@@ -155,6 +155,40 @@ def test_compressed_colours_are_named_unless_they_are_white(code: int, extension
     assert any("vertex colours" in sentence for sentence in warned(path)) is (code != 255)
 
 
+@pytest.mark.parametrize(
+    ("stored", "rows", "values", "named"),
+    [
+        (None, [0, 1, 2, 3], 255, False),
+        (None, [0, 1, 2, 3], 254, True),
+        (None, [0, 1, 2], 255, True),  # the fourth is black
+        ([255, 9, 255, 9], [1, 3], 255, False),
+        ([255, 255, 255, 255], [1, 3], 9, True),
+        ([255, 9, 9, 255], [1], 255, True),
+    ],
+)
+def test_sparse_colours_are_named_unless_they_are_white(
+    stored: list[int] | None, rows: list[int], values: int, named: bool, tmp_path: Path
+) -> None:
+    colors = np.repeat(np.array(stored or [0] * 4, np.uint8)[:, None], 4, axis=1)
+    path = write_quad(tmp_path / "a.gltf", textured(), [IMAGE], {"COLOR_0": colors})
+    document = json.loads(path.read_text())
+    accessor = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    if stored is None:
+        del accessor["bufferView"]
+    data, first = np.array(rows, np.uint16).tobytes(), len(document["bufferViews"])
+    accessor["sparse"] = {
+        "count": len(rows),
+        "indices": {"bufferView": first, "componentType": 5123},
+        "values": {"bufferView": first, "byteOffset": len(data)},
+    }
+    data += bytes([values] * 4 * len(rows))
+    document["bufferViews"].append({"buffer": 1, "byteLength": len(data)})
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    document["buffers"].append({"byteLength": len(data), "uri": uri})
+    path.write_text(json.dumps(document))
+    assert any("vertex colours" in sentence for sentence in warned(path)) is named
+
+
 def test_a_closed_surface_needs_no_back(textured_asset: Asset, tmp_path: Path) -> None:
     """That of the fixture is a sphere, whose seam has a vertex for each side."""
     from pygltflib import GLTF2

@@ -14,7 +14,7 @@ from hir_exporters.mesh.open_surface import is_open
 from hir_exporters.reading.gltf_geometry.gltf_decompression import DRACO, view_content
 from hir_exporters.reading.gltf_json.gltf_surface import SPECULAR_GLOSSINESS, UNLIT, texture_references
 from hir_exporters.reading.gltf_json.gltf_textures import GltfTextures, image_source
-from hir_exporters.reading.gltf_json.stored_accessors import Json, buffers_of, stored_values
+from hir_exporters.reading.gltf_json.stored_accessors import Json, buffers_of, sparse_values, stored_values
 from hir_exporters.reading.gltf_json.used_material import placed_primitives
 from hir_exporters.reading.texture_decoding import unit_values
 
@@ -58,18 +58,32 @@ def _has_vertex_colors(textures: GltfTextures) -> bool:
     document = textures.document
     buffer = buffers_of(textures.path, document, textures.binary)
     return any(
-        not _is_white(_vertex_colors(document, primitive, buffer))
+        not _has_white_colors(document, primitive, buffer)
         for primitive in placed_primitives(document)
         if "COLOR_0" in primitive["attributes"]
     )
 
 
+def _has_white_colors(document: Json, primitive: Json, buffer: Callable[[int], bytes]) -> bool:
+    accessor = document["accessors"][primitive["attributes"]["COLOR_0"]]
+    if accessor.get("sparse") is None:
+        return _is_white(_vertex_colors(document, primitive, buffer))
+    replaced, values = sparse_values(accessor, document, buffer)
+    if not _is_white(values):
+        return False
+    if accessor.get("bufferView") is None:  # the others are 0
+        return len(np.unique(replaced)) >= accessor["count"]
+    stored = stored_values(document, {**accessor, "sparse": None}, buffer, decompress=True)
+    return stored is not None and _is_white(np.delete(stored, replaced, axis=0))
+
+
 def _vertex_colors(document: Json, primitive: Json, buffer: Callable[[int], bytes]) -> NDArray[Any] | None:
-    """Colours (N, 3 or 4) as they are stored, or would be without compression; None for sparse ones."""
+    """Colours (N, 3 or 4) as they are stored, or would be without compression; None where they are all 0."""
     compressed = (primitive.get("extensions") or {}).get(DRACO, {})
     identifier = compressed.get("attributes", {}).get("COLOR_0")
     if identifier is None:
-        return stored_values(document, primitive["attributes"]["COLOR_0"], buffer, decompress=True)
+        accessor = document["accessors"][primitive["attributes"]["COLOR_0"]]
+        return stored_values(document, accessor, buffer, decompress=True)
     import DracoPy
 
     stream = view_content(document["bufferViews"][compressed["bufferView"]], buffer)

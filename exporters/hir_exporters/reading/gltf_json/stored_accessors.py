@@ -39,23 +39,34 @@ def buffers_of(path: Path, document: Json, binary: bytes) -> Buffer:
     return content
 
 
-def stored_values(document: Json, index: int, buffer: Buffer, decompress: bool = False) -> NDArray[Any] | None:
+def stored_values(document: Json, accessor: Json, buffer: Buffer, decompress: bool = False) -> NDArray[Any] | None:
     """Values (N, C) of an accessor as they are stored (glTF 2.0, section 3.6.2).
 
     None where they are not simply there: sparse, all 0 by definition, or, without `decompress`, in a compressed view.
     """
-    accessor = document["accessors"][index]
     if accessor.get("bufferView") is None or accessor.get("sparse") is not None:
         return None
     view = document["bufferViews"][accessor["bufferView"]]
     if view.get("extensions") and not decompress:
         return None
-    kind, width = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
-    start = accessor.get("byteOffset", 0)
-    strides = (view.get("byteStride") or width * kind.itemsize, kind.itemsize)
+    return _values_in_view(view, accessor, accessor["componentType"], accessor["type"], accessor["count"], buffer)
+
+
+def sparse_values(accessor: Json, document: Json, buffer: Buffer) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Indices (N,) and values (N, C) that a sparse accessor replaces (glTF 2.0, section 3.6.2.3)."""
+    sparse, views = accessor["sparse"], document["bufferViews"]
+    count, indices, values = sparse["count"], sparse["indices"], sparse["values"]
+    replaced = _values_in_view(views[indices["bufferView"]], indices, indices["componentType"], "SCALAR", count, buffer)
+    kind, width = accessor["componentType"], accessor["type"]
+    return replaced[:, 0], _values_in_view(views[values["bufferView"]], values, kind, width, count, buffer)
+
+
+def _values_in_view(view: Json, place: Json, component: int, kind: str, count: int, buffer: Buffer) -> NDArray[Any]:
+    """Values (N, C) of a view from the `byteOffset` of `place` on."""
+    number, width = np.dtype(_COMPONENTS[component]), _WIDTHS[kind]
+    strides = (view.get("byteStride") or width * number.itemsize, number.itemsize)
     # numpy refuses a buffer that is too short
-    values: NDArray[Any] = np.ndarray((accessor["count"], width), kind, view_content(view, buffer), start, strides)
-    return values
+    return np.ndarray((count, width), number, view_content(view, buffer), place.get("byteOffset", 0), strides)
 
 
 def check_geometry(path: Path) -> None:
@@ -79,7 +90,7 @@ def check_geometry(path: Path) -> None:
 def _check_finite(path: Path, document: Json, primitives: list[Json], buffer: Buffer) -> None:
     used = {(p["attributes"][name], name) for p in primitives for name in _CHECKED if name in p["attributes"]}
     for accessor, name in sorted(used):
-        values = stored_values(document, accessor, buffer)
+        values = stored_values(document, document["accessors"][accessor], buffer)
         if values is not None and values.dtype.kind == "f" and not np.isfinite(values).all():
             raise InputError(f"{path}: {name} of a mesh has NaN or infinite numbers; export it again")
 
@@ -89,7 +100,7 @@ def _check_indices(path: Path, document: Json, primitives: list[Json], buffer: B
     largest: dict[int, int] = {}
     for accessor, positions in sorted(used):
         if accessor not in largest:
-            values = stored_values(document, accessor, buffer)
+            values = stored_values(document, document["accessors"][accessor], buffer)
             largest[accessor] = -1 if values is None or not values.size else int(values.max())
         count = document["accessors"][positions]["count"]
         if largest[accessor] >= count:

@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 from hir_exporters.format_options import GltfConfig
 from hir_exporters.formats import create_exporter
+from hir_exporters.scene_format import save_scene
+from hir_exporters.textures.image_files import write_hdr
 from PIL import Image
 
 from hir_core.cli import main
 from hir_core.errors import InputError
+from hir_core.run.run_directory import RunDirectory
 from hir_plugins.commands.viewer.displayed_asset import load_displayed_asset
+from tests.fixtures.command_line import hir
 from tests.fixtures.gltf_quads import FACES, POSITIONS, UVS, png, textured, write_quad
 from tests.fixtures.octant_asset import asset
 
@@ -88,6 +92,28 @@ def test_the_command_prints_the_warning(tmp_path: Path, capsys: pytest.CaptureFi
         main(["view", str(path), "--save", str(tmp_path / "page.html"), "-q"])
     assert stop.value.code == 0
     assert capsys.readouterr().err.startswith(f"hir: {path} is shown without ACME_glow, animations, which ")
+
+
+def test_a_light_in_the_file_is_named_unless_another_one_is_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_quad(tmp_path / "a.glb", {}, changes={"extensionsUsed": ["EXT_lights_image_based"]})
+    write_hdr(tmp_path / "even.hdr", np.ones((4, 8, 3), np.float32))
+    assert hir("view", path, "--save", tmp_path / "page.html", "-q") == 0
+    assert capsys.readouterr().err.startswith(f"hir: {path} is shown without EXT_lights_image_based, which ")
+    assert hir("view", path, "--light", tmp_path / "even.hdr", "--save", tmp_path / "page.html", "-q") == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_an_unfinished_run_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = RunDirectory(tmp_path / "run")
+    save_scene(asset(), run.scene)
+    run.write_run({"stages": {"geometry": {}}})
+    assert hir("view", run.path, "--save", tmp_path / "page.html", "-q") == 0
+    sentence = "its latest call ended before the stage bake, so the page shows the scene of an earlier one; "
+    assert f"hir: {run.path}: {sentence}finish the run with: hir reconstruct" in capsys.readouterr().err
+    (run.path / "run.json").write_text("{")
+    assert hir("view", run.path, "--save", tmp_path / "page.html", "-q") == 0, "a damaged run.json is no reason to end"
 
 
 @pytest.mark.parametrize("suffix", ["glb", "gltf"])
