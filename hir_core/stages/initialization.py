@@ -131,6 +131,8 @@ def initialize(
         raise StageError(
             f"the initializers {', '.join(chain)} made no surface; end the chain with one that makes a surface"
         )
+    if unchanged is not None and not (mesh_changed and _same_cameras(unchanged[1], capture)):
+        unchanged = None  # the same mesh, or a later initializer moved the world
     capture = _masked_only(apply_masks(capture, scene, config, context, "mesh"), context)
     if len(capture.views) < MIN_VIEWS:
         context.warn(
@@ -144,8 +146,6 @@ def initialize(
         )
     if scanned is not None and not _has_surface_of(scene.mesh, scanned):
         scan = None  # an initializer made another surface, to which the texture does not belong
-    if unchanged is not None and not (mesh_changed and _same_cameras(unchanged[1], capture)):
-        unchanged = None  # the same mesh, or a later initializer moved the world
     working_from_asset = unit_similarity(scene.mesh)
     moved_capture = capture.transformed(working_from_asset)
     asset_from_working = np.linalg.inv(working_from_asset)

@@ -262,8 +262,8 @@ def test_photographs_without_a_mask_are_left_out_with_a_warning(
     capture = replace(
         capture_of(0), views=tuple(v if i == bare else replace(v, read=lambda: masked) for i, v in enumerate(views))
     )
-    found, *_ = initialize(capture, replace(RunConfig(), initializers=("hull", "replaces")), context)
-    assert [view.name for view in found.views] == [str(i) for i in range(8) if i != bare]
+    found, _ = initialize(capture, replace(RunConfig(), initializers=("hull", "replaces")), context)
+    assert [view.name for view in found.capture.views] == [str(i) for i in range(8) if i != bare]
     left_out = f"1 of 8 photographs have no mask and are left out: {bare}; add their masks to use them"
     assert warned[:2] == ["points are missing; add masks", left_out]
 
