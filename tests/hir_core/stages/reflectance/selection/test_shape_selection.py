@@ -161,3 +161,17 @@ def test_the_stage_fits_the_shape_that_explains_the_reflections(silhouettes_are_
     assert report.shape is not None
     assert report.shape.silhouettes_selected == silhouettes_are_true, report.shape
     assert torch.equal(scene.mesh.positions, mesh.positions)
+
+
+@pytest.mark.slow
+def test_the_stage_prefers_a_ball_to_one_with_a_false_hollow(tmp_path: Path) -> None:
+    """A polished golden ball, and the same ball with a pit at the top that no outline shows."""
+    mesh = ball()
+    gold = Material.metallic(torch.tensor((0.9, 0.6, 0.25)), torch.ones(1), torch.full((1,), 0.15))
+    capture = photographs(Scene(mesh, gold, lamps()), around(24))
+    x, y, z = mesh.positions.unbind(1)
+    pit = torch.where(y > 0.75, 0.75 - 0.6 * (y - 0.75), y)
+    hollow = mesh.with_positions(torch.stack([x, pit, z], dim=1))
+    with pytest.raises(OtherMeshSelectedError) as raised:
+        fitted(hollow, capture, tmp_path, other_mesh=mesh)
+    assert raised.value.comparison.gain_db > 1
