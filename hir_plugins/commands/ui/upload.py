@@ -106,7 +106,8 @@ class Upload:
         if manifest.total_bytes > free - FREE_BYTES_KEPT:
             raise InputError(
                 f"the folder holds {manifest.total_bytes / 1e9:.1f} GB, and the disk of {folder.parent} has "
-                f"{free / 1e9:.1f} GB free; type the folder's path instead: then nothing is copied"
+                f"{free / 1e9:.1f} GB free, of which the run needs {FREE_BYTES_KEPT / 1e9:.1f} GB; type the folder's "
+                "path instead: then nothing is copied"
             )
         self.manifest = manifest
         self.folder = folder
