@@ -151,8 +151,8 @@ class Upload:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _write(self, path: Path, stream: BinaryIO, length: int) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "xb") as target:
                 left = length
                 while left:
@@ -162,9 +162,14 @@ class Upload:
                     target.write(block)
                     left -= len(block)
                     self._used = time.monotonic()
-        except BaseException:
+        except BaseException as error:
             with contextlib.suppress(OSError):
                 path.unlink()
+            if isinstance(error, OSError) and not isinstance(error, ConnectionError | TimeoutError):
+                raise InputError(
+                    f"{path.name} cannot be written to {self.folder.parent}: {error.strerror}; free some space, or type "
+                    "the folder's path instead: then nothing is copied"
+                ) from error
             raise
 
 
