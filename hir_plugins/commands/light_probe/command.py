@@ -22,8 +22,8 @@ from hir_core.terminal.required_packages import require_reconstruction_packages
     "object_photos",
     type=FOLDER,
     metavar="PHOTOS",
-    help="Photographs of the object. The light gets their brightness by the exposures that both record, and the axes of "
-    "the light that the object's capture names, if it names one.",
+    help="Photographs of the object. The light gets their brightness by the exposures that both record, and the axes "
+    "of the light that the object's capture names, if it names one.",
 )
 @click.option(
     "--reflectance",
@@ -82,7 +82,7 @@ def light_probe_command(
 
     source = click.get_current_context().get_parameter_source("grey_reflectance")
     if grey_ball is None and source is ParameterSource.COMMANDLINE:
-        raise ConfigError("--grey-reflectance has no effect without --grey-ball; leave it out, or add --grey-ball PHOTOS")
+        raise ConfigError("--grey-reflectance has no effect without --grey-ball; leave it out, or add --grey-ball")
     suffix = output.suffix.lower()
     if suffix not in (".hdr", ".exr"):
         raise InputError(f"{output} must end in .hdr or .exr; give another name with -o")

@@ -167,8 +167,8 @@ class Upload:
                 path.unlink()
             if isinstance(error, OSError) and not isinstance(error, ConnectionError | TimeoutError):
                 raise InputError(
-                    f"{path.name} cannot be written to {self.folder.parent}: {error.strerror}; free some space, or type "
-                    "the folder's path instead: then nothing is copied"
+                    f"{path.name} cannot be written to {self.folder.parent}: {error.strerror}; free some space, or "
+                    "type the folder's path instead: then nothing is copied"
                 ) from error
             raise
 

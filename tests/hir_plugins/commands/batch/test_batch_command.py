@@ -82,7 +82,8 @@ def test_sigterm_interrupts_the_batch_after_ray_was_started(monkeypatch: pytest.
     )
     monkeypatch.setitem(sys.modules, "ray", ray)  # type: ignore[arg-type] # as far as the cluster needs it
     monkeypatch.setattr(ray_cluster, "find_spec", lambda name: name)
-    with _interruptible(), ray_cluster.RayCluster("127.0.0.1:1", lambda message: None), pytest.raises(KeyboardInterrupt):
+    cluster = ray_cluster.RayCluster("127.0.0.1:1", lambda message: None)
+    with _interruptible(), cluster, pytest.raises(KeyboardInterrupt):
         signal.raise_signal(signal.SIGTERM)
 
 

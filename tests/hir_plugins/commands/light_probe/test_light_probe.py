@@ -17,7 +17,7 @@ from PIL import Image
 
 from hir_core.capture import Camera
 from hir_core.cli.app import cli
-from hir_core.errors import HirError, InputError
+from hir_core.errors import HirError
 from hir_plugins.commands.light_probe.grey_ball import _regions
 from hir_plugins.commands.light_probe.mirror_ball import reflecting_pixels
 from hir_plugins.commands.light_probe.sphere_fit import Sphere, fit_sphere
@@ -255,7 +255,7 @@ def test_bad_input_is_one_sentence(tmp_path: Path) -> None:
     cases = {
         "not those of one ball": (egg, "-o", tmp_path / "a.hdr"),
         "must end in .hdr or .exr": (good, "-o", tmp_path / "a.png"),
-        "--grey-reflectance has no effect without --grey-ball": (good, "-o", tmp_path / "a.hdr", "--grey-reflectance", "0.5"),
+        "no effect without --grey-ball": (good, "-o", tmp_path / "a.hdr", "--grey-reflectance", "0.5"),
         "does not exist; create it": (good, "-o", tmp_path / "none" / "a.hdr"),
     }
     document = json.loads((good / "transforms.json").read_text())
