@@ -288,7 +288,11 @@ def load_config(
     for name in (assigned.get("preset", ""), from_file.get("preset", "")):
         if not isinstance(name, str):
             raise ConfigError(f"preset is {name!r}; it is the name of a preset: {', '.join(plugins.presets())}")
-        preset = preset or name
+    if preset and assigned.get("preset", preset) != preset:
+        raise ConfigError(
+            f"the preset is {preset!r}, and --set names the preset {assigned['preset']!r}; give one of them"
+        )
+    preset = preset or assigned.get("preset", "") or from_file.get("preset", "")
     preset = preset or _default_preset(plugins)
     base = _without_plugins(plugins.preset(preset), read_toml(plugins.preset(preset)))
     base.pop(DEFAULT_PRESET, None)

@@ -155,6 +155,11 @@ def _template_values(name: str, kind: str, one_file: bool = False) -> dict[str, 
     """The values of the templates, derived from the name and kind. `ConfigError` for an invalid name."""
     if "/" in name or "\\" in name:
         raise ConfigError(f"the name {name!r} is a path; give the name alone, and its parent folder with -o")
+    if wrong := sorted(set(re.findall(r"[^A-Za-z0-9_ -]", name))):
+        raise ConfigError(
+            f"the name {name!r} contains {wrong[0]!r}; names have letters a to z, digits and hyphens, such as "
+            "albedo-chroma-prior"
+        )
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_").removeprefix("hir_")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", plain):
         raise ConfigError(f"the name {name!r} does not begin with a letter; an example is albedo-chroma-prior")

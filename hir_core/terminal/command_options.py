@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import click
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-FOLDER = click.Path(path_type=Path)
+
+class _NamedPath(click.Path):
+    """A path that is not empty: pathlib takes an empty one, such as an unset variable of a script, for the current
+    folder.
+    """
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("the path is empty; give a path, or . for the current folder", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FOLDER = _NamedPath(path_type=Path)
 
 
 def plugin_option(function: Function) -> Function:

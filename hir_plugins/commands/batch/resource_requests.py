@@ -57,6 +57,8 @@ def build_requests(cpus: float, gpus: float, assignments: Sequence[str] = ()) ->
     """
     table: dict[str, Any] = {}
     for assignment in assignments:
+        if "=" not in assignment:
+            raise ConfigError(f"--request {assignment!r}: write it as KEY=VALUE, such as reflectance.memory_gib=6")
         assign(table, assignment)
     defaults = ResourceRequests()
     requests: dict[str, ResourceRequest] = {}

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
-from hir_core.errors import InputError
+from hir_core.errors import ConfigError, InputError
 from hir_core.terminal.command_options import FOLDER, plugin_option, verbosity_options
 from hir_core.terminal.required_packages import require_reconstruction_packages
 
@@ -21,7 +22,8 @@ from hir_core.terminal.required_packages import require_reconstruction_packages
     "object_photos",
     type=FOLDER,
     metavar="PHOTOS",
-    help="Photographs of the object. The light gets their brightness by the exposures that both record.",
+    help="Photographs of the object. The light gets their brightness by the exposures that both record, and the axes "
+    "of the light that the object's capture names, if it names one.",
 )
 @click.option(
     "--reflectance",
@@ -78,6 +80,9 @@ def light_probe_command(
     from hir_plugins.commands.light_probe.grey_ball import with_lamps_of_grey_ball
     from hir_plugins.commands.light_probe.mirror_ball import mirror_ball_light
 
+    source = click.get_current_context().get_parameter_source("grey_reflectance")
+    if grey_ball is None and source is ParameterSource.COMMANDLINE:
+        raise ConfigError("--grey-reflectance has no effect without --grey-ball; leave it out, or add --grey-ball")
     suffix = output.suffix.lower()
     if suffix not in (".hdr", ".exr"):
         raise InputError(f"{output} must end in .hdr or .exr; give another name with -o")

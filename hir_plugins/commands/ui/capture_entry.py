@@ -123,6 +123,8 @@ class CaptureEntry:
         with self.changes:
             self._refuse_if_busy()
             kept = None if scan is None else scan_file(scan, self.source)
+            if self.check is not None and self.check.has_failed:
+                self.check = None  # the run says itself what cannot be read
             self.preset, self.settings, self.scan = preset, tuple(assignments), scan or self.scan
             self.write_record()
             run = self.run_directory.path
@@ -163,14 +165,20 @@ class CaptureEntry:
             "sentence": self._sentence(state),
         }
         document["checked"] = self.sheet.is_file() and not (self.check is not None and self.check.is_running)
+        # beside `sentence`: a capture with a run keeps the state of its run when its check fails
+        failed_check = self.check if self.check is not None and self.check.has_failed else None
+        document["check_sentence"] = "" if failed_check is None else failed_check.sentence
         if (self.run_directory.path / "run.json").is_file() or state in ("running", "failed"):
             document["run"] = self._run_document(state)
         return document
 
     def exported_files(self) -> dict[str, Path]:
-        """The files of the finished run by their path below its folder of exports."""
+        """The files of the last finished run by their path below its folder of exports.
+
+        They stay available after a later run that failed or was stopped before it replaced them.
+        """
         folder = self.run_directory.exports
-        if self.state != "finished" or not folder.is_dir():
+        if self.state == "running" or not folder.is_dir() or not self._has_result():
             return {}
         return {path.relative_to(folder).as_posix(): path for path in sorted(regular_files(folder))}
 
@@ -205,6 +213,7 @@ class CaptureEntry:
         finished = run.get("stages", {}) if isinstance(run.get("stages"), dict) else {}
         seconds = timings.get("stages", {}) if isinstance(timings.get("stages"), dict) else {}
         progress = _document(directory.path / "progress.json") if state == "running" else {}
+        has_result = state != "running" and self._has_result()
         previews = [s for s in STAGE_NAMES if (directory.path / "previews" / f"{s}.png").is_file()]
         return {
             "stages": [
@@ -218,7 +227,8 @@ class CaptureEntry:
             "progress": progress or None,
             "previews": [{"stage": stage, "version": _version(directory, stage)} for stage in previews],
             "messages": _last_lines(directory.log),
-            "decisions": _decisions(run) if state == "finished" else {},
+            "has_result": has_result,
+            "decisions": _decisions(run) if has_result else {},
             "files": [{"path": name, "bytes": path.stat().st_size} for name, path in self.exported_files().items()],
         }
 

@@ -98,7 +98,9 @@ class UiHandler(LoopbackHandler):
         except (ConnectionError, TimeoutError):
             raise
         except OSError as error:  # a full disk, a folder that was removed
-            self._answer_error(HTTPStatus.INTERNAL_SERVER_ERROR, f"{error.filename or 'a file'}: {error.strerror}")
+            place = error.filename or self.server.library.folder
+            sentence = f"{place} cannot be read or written: {error.strerror}; check its permissions and the free space"
+            self._answer_error(HTTPStatus.INTERNAL_SERVER_ERROR, sentence)
         except Exception as error:
             self._answer_error(HTTPStatus.INTERNAL_SERVER_ERROR, f"this is a bug: {type(error).__name__}: {error}")
 

@@ -106,7 +106,8 @@ class Upload:
         if manifest.total_bytes > free - FREE_BYTES_KEPT:
             raise InputError(
                 f"the folder holds {manifest.total_bytes / 1e9:.1f} GB, and the disk of {folder.parent} has "
-                f"{free / 1e9:.1f} GB free; type the folder's path instead: then nothing is copied"
+                f"{free / 1e9:.1f} GB free, of which the run needs {FREE_BYTES_KEPT / 1e9:.1f} GB; type the folder's "
+                "path instead: then nothing is copied"
             )
         self.manifest = manifest
         self.folder = folder
@@ -150,8 +151,8 @@ class Upload:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _write(self, path: Path, stream: BinaryIO, length: int) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "xb") as target:
                 left = length
                 while left:
@@ -161,9 +162,14 @@ class Upload:
                     target.write(block)
                     left -= len(block)
                     self._used = time.monotonic()
-        except BaseException:
+        except BaseException as error:
             with contextlib.suppress(OSError):
                 path.unlink()
+            if isinstance(error, OSError) and not isinstance(error, ConnectionError | TimeoutError):
+                raise InputError(
+                    f"{path.name} cannot be written to {self.folder.parent}: {error.strerror}; free some space, or "
+                    "type the folder's path instead: then nothing is copied"
+                ) from error
             raise
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import final
 
@@ -103,13 +104,15 @@ class MeshFile(Initializer):
         if not self._config.path:
             raise ConfigError("initializer 'mesh_file' needs a mesh; add --set initializer.mesh_file.path=FILE")
         folder = capture.path if capture.path.is_dir() else capture.path.parent
-        for candidate in (Path(self._config.path).expanduser(), folder / self._config.path):
+        candidates = [folder / self._config.path]
+        with suppress(RuntimeError):  # ~NAME of an unknown user
+            candidates.insert(0, Path(self._config.path).expanduser())
+        for candidate in candidates:
             if candidate.is_file():
                 return candidate
         raise ConfigError(
             f"initializer.mesh_file.path: {self._config.path} is neither in the working folder nor in {folder}; give "
-            "the "
-            "path of a mesh file"
+            "the path of a mesh file"
         )
 
     def _world_from_file(self, path: Path, loaded: LoadedMesh, capture: Capture) -> Array:

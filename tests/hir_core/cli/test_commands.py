@@ -42,6 +42,13 @@ LONG = "{tmp}/" + "a" * 5000
             ["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iteration=3"],
             "unknown option 'geometry.iteration'; did you mean 'iterations'?",
         ),
+        (["reconstruct", "", "-o", "{tmp}/run"], "Invalid value for 'CAPTURE': the path is empty"),
+        (["reconstruct", SAMPLE, "-o", ""], "the path is empty; give a path, or . for the current folder"),
+        (["ui", ""], "the path is empty"),
+        (
+            ["config", "show", "--preset", "draft", "--set", "preset=paper"],
+            "the preset is 'draft', and --set names the preset 'paper'; give one of them",
+        ),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "reflectance.model=glossy"], "'normal_map'"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--model", "glossy"], "'glossy' is not one of"),
         (["reconstruct", SAMPLE, "-o", "{tmp}/run", "--set", "geometry.iterations"], "write it as key=value"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -113,6 +114,9 @@ def test_invalid_names_and_existing_folders_are_refused(tmp_path: Path) -> None:
     for name in ("../mine", "plugins\\mine"):
         with pytest.raises(ConfigError, match="is a path; give the name alone"):
             write_plugin(name, "regularizer", tmp_path / "new")
+    for name, letter in (("ünï", "ï"), ("my_term.py", ".")):  # they had become n.py and my_term_py.py
+        with pytest.raises(ConfigError, match=re.escape(f"contains {letter!r}; names have letters a to z")):
+            write_one_file(name, "regularizer", tmp_path / "new")
     write_plugin("hir-mine", "mask_source", tmp_path)
     assert (tmp_path / "hir-mine" / "hir_mine" / "plugin.py").is_file()
     with pytest.raises(ConfigError, match="exists"):

@@ -173,6 +173,8 @@ def test_files_that_are_no_meshes(capture: Capture, shared: Path) -> None:
         load(capture, "")
     with pytest.raises(ConfigError, match="nowhere"):
         load(capture, "nowhere.ply")
+    with pytest.raises(ConfigError, match=r"~nobody-of-this-name/scan\.obj is neither"):
+        load(capture, "~nobody-of-this-name/scan.obj")
     hostile = sorted(p for p in (shared / "hostile" / "meshes").rglob("*") if p.is_file())
     assert hostile
     for path in hostile:

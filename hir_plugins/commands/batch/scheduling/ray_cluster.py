@@ -4,10 +4,12 @@ imports Ray."""
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import tempfile
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from contextlib import ExitStack
+import threading
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -88,15 +90,16 @@ class RayCluster:
         import ray
 
         self._ray = ray
-        if connect:
-            self._connect()
-        else:
-            self._cleanup.enter_context(processes_end_with_this_one())
-            try:
-                self._start()
-            except BaseException:
-                self._cleanup.close()
-                raise
+        with kept_sigterm_handler():
+            if connect:
+                self._connect()
+            else:
+                self._cleanup.enter_context(processes_end_with_this_one())
+                try:
+                    self._start()
+                except BaseException:
+                    self._cleanup.close()
+                    raise
         self._tasks = {
             gpu: ray.remote(max_calls=1 if gpu else TASKS_PER_WORKER, max_retries=0)(run_on_ray)
             for gpu in (False, True)  # CUDA keeps the device that a process used first: a process for each GPU task
@@ -211,6 +214,19 @@ def ray_failure(error: Exception) -> str:
             return sentences[kind.__name__]
     text = str(error).strip().partition("\n")[0]
     return f"Ray lost the task ({type(error).__name__}: {text})"
+
+
+@contextmanager
+def kept_sigterm_handler() -> Iterator[None]:
+    """The handler of SIGTERM is the same after the block: Ray sets two of its own, which print a stack of addresses and
+    end the process with exit code 1.
+    """
+    handler = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, handler)
 
 
 def running_cluster() -> bool:

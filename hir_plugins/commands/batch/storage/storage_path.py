@@ -73,7 +73,15 @@ class StoragePath:
 
 
 def parse_storage_path(text: str) -> StoragePath:
-    """The address that a user wrote; a local path is made absolute."""
-    if "://" in text:
+    """The address that a user wrote; a local path is made absolute. `InputError` for one that names no place."""
+    if not text.strip():
+        raise InputError("an address is empty; give a folder or a URL, or . for the current folder")
+    protocol, separator, rest = text.partition("://")
+    if separator:
+        if not protocol or not rest.strip("/"):
+            raise InputError(f"{text} names no folder; write it as s3://BUCKET/FOLDER")
         return StoragePath(text.rstrip("/"))
-    return StoragePath(str(Path(text).expanduser().resolve()))
+    try:
+        return StoragePath(str(Path(text).expanduser().resolve()))
+    except RuntimeError:  # ~NAME of an unknown user
+        raise InputError(f"{text}: there is no user {text[1:].partition('/')[0]!r}; give the whole path") from None

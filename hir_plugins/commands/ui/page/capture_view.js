@@ -59,8 +59,8 @@ export function photographs(capture, check, actions) {
   const again = capture.state === "running" ? null : element("button", {
     type: "button", id: "check", onclick: actions.check,
   }, capture.checked ? "Check again" : "Check");
-  if (capture.state === "check_failed") {
-    return [element("p", { class: "error", role: "alert" }, capture.sentence), element("p", { class: "buttons" }, again)];
+  if (capture.check_sentence) {
+    return [element("p", { class: "error", role: "alert" }, capture.check_sentence), element("p", { class: "buttons" }, again)];
   }
   if (!check) return [element("p", {}, "They have not been checked."), element("p", { class: "buttons" }, again)];
   const advice = check.advice.length

@@ -76,7 +76,9 @@ export function results(capture) {
   const found = Object.entries(run.decisions).map(([name, sentence]) => [
     element("dt", {}, name), element("dd", {}, sentence),
   ]);
+  const newer = { failed: "failed", stopped: "was stopped" }[capture.state];
   return [
+    newer ? element("p", {}, `This is the result of an earlier run. The latest one ${newer}.`) : null,
     element("p", { class: "buttons" },
       element("a", { id: "report", class: "button main", href: `${address(capture)}/report.html`, target: "_blank",
         rel: "noopener" }, "Open the report"),

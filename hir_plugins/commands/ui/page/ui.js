@@ -193,7 +193,7 @@ function showCapture(capture, presets) {
   showRun(capture);
   const check = checks[capture.id] ?? null;
   refresh(part("photographs-content"), [["checking", "check_failed", "running"].indexOf(capture.state),
-    capture.state === "check_failed" ? capture.sentence : "", check], () => photographs(capture, check, actions));
+    capture.check_sentence, check], () => photographs(capture, check, actions));
   const startable = !["checking", "running", "check_failed"].includes(capture.state);
   part("reconstruction").hidden = !startable;
   refresh(part("reconstruction-content"), startable ? [capture.state, presets, capture.preset, capture.settings, capture.scan,
@@ -205,9 +205,9 @@ function showCapture(capture, presets) {
 
 function showRun(capture) {
   const { run, state } = capture;
-  part("result").hidden = state !== "finished";
-  if (state === "finished") {
-    refresh(part("result-content"), [run.files, run.decisions], () => results(capture));
+  part("result").hidden = !run?.has_result;
+  if (run?.has_result) {
+    refresh(part("result-content"), [state, run.files, run.decisions], () => results(capture));
   }
   part("progress").hidden = !run;
   if (!run) return;
@@ -248,7 +248,7 @@ async function update() {
       return await update();
     }
     if (capture?.checked && !checks[capture.id]) {
-      checks[capture.id] = await get(`captures/${encodeURIComponent(capture.id)}/check.json`);
+      checks[capture.id] = await get(`captures/${encodeURIComponent(capture.id)}/check.json`).catch(() => null);
     }
     if (capture && !capture.checked) delete checks[capture.id];
     if (capture && capture.id !== selected) return await update();

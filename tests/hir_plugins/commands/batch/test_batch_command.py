@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from hir_core.cli import main
 from hir_core.config import RunConfig
 from hir_core.errors import ConfigError
 from hir_plugins.commands.batch.batch_options import BatchOptions
-from hir_plugins.commands.batch.command import print_event
+from hir_plugins.commands.batch.command import _interruptible, print_event
 from hir_plugins.commands.batch.progress_table import event_sentence, progress_table
 from hir_plugins.commands.batch.scheduling import ray_cluster
 from hir_plugins.commands.batch.scheduling.capture_job import CaptureJob
@@ -46,6 +47,11 @@ def hir(*arguments: object) -> int:
         (["cup", "-o", "{tmp}/out", "--set", "device=cuda"], "no stage group requests a GPU"),
         (["--from", "{tmp}/none.txt", "-o", "{tmp}/out"], "give a file with one capture per line"),
         (["{tmp}/x*", "-o", "{tmp}/out"], "matches nothing"),
+        (["cup", "-o", ""], "an address is empty"),
+        (["", "-o", "{tmp}/out"], "an address is empty"),
+        (["cup", "-o", "s3://"], "s3:// names no folder"),
+        (["~nobody-of-this-name/cup", "-o", "{tmp}/out"], "there is no user 'nobody-of-this-name'"),
+        (["cup", "-o", "{tmp}/out", "--request", "geometry"], "--request 'geometry': write it as KEY=VALUE"),
         (["cup", "-o", "{tmp}/out", "--address", "127.0.0.1:1", "--attempts", "0"], "Invalid value for '--attempts'"),
     ],
 )
@@ -64,6 +70,21 @@ def test_missing_ray_is_an_error_and_the_lease_is_released(
     assert hir("batch", tmp_path / "cup", "-o", tmp_path / "out") == 2
     assert "pip install 'hir[batch]'" in capsys.readouterr().err
     assert not (tmp_path / "out" / ".batch" / "lease.json").exists()
+
+
+def test_sigterm_interrupts_the_batch_after_ray_was_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray's own handler ends the process with exit code 1, without the sentence that the batch can be continued."""
+    ray = SimpleNamespace(
+        init=lambda **_: signal.signal(signal.SIGTERM, lambda *_: sys.exit(1)),
+        nodes=lambda: [],
+        remote=lambda **_: lambda cls: SimpleNamespace(remote=lambda: None),
+        shutdown=lambda: None,
+    )
+    monkeypatch.setitem(sys.modules, "ray", ray)  # type: ignore[arg-type] # as far as the cluster needs it
+    monkeypatch.setattr(ray_cluster, "find_spec", lambda name: name)
+    cluster = ray_cluster.RayCluster("127.0.0.1:1", lambda message: None)
+    with _interruptible(), cluster, pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGTERM)
 
 
 def test_ray_and_storage_libraries_are_imported_only_when_needed() -> None:

@@ -17,7 +17,7 @@ from PIL import Image
 
 from hir_core.capture import Camera
 from hir_core.cli.app import cli
-from hir_core.errors import InputError
+from hir_core.errors import HirError
 from hir_plugins.commands.light_probe.grey_ball import _regions
 from hir_plugins.commands.light_probe.mirror_ball import reflecting_pixels
 from hir_plugins.commands.light_probe.sphere_fit import Sphere, fit_sphere
@@ -97,7 +97,7 @@ def write(folder: Path, photographs: Sequence[Photograph], exposures: Sequence[f
 def probe(*words: object) -> tuple[int, str]:
     result = CliRunner().invoke(cli, ["light-probe", *map(str, words)])
     said = " ".join((result.output + (result.stderr if result.stderr_bytes else "")).split())
-    if isinstance(result.exception, InputError):
+    if isinstance(result.exception, HirError):
         return 2, str(result.exception)
     return result.exit_code, said
 
@@ -182,7 +182,7 @@ def matt_photograph(eye: Sequence[float], light: Callable[[Rows], Rows]) -> Phot
 def test_a_grey_ball_gives_clipped_lamps_their_brightness(tmp_path: Path) -> None:
     mirror = write(tmp_path / "mirror", [photograph(eye, with_sun) for eye in EYES])
     grey = write(tmp_path / "grey", [matt_photograph(eye, with_sun) for eye in EYES[:2]])
-    words = ("--rows", 32, "--grey-ball", grey, "--grey-reflectance", 0.5)
+    words = ("--rows", 32, "--grey-ball", grey, "--grey-reflectance", "0.5")
     assert probe(mirror, "-o", tmp_path / "dark.exr", "--rows", 32)[0] == 0
     code, said = probe(mirror, "-o", tmp_path / "light.exr", *words)
     assert code == 0 and "are clipped in all" not in said and "that of the grey ball differ by" in said
@@ -255,6 +255,7 @@ def test_bad_input_is_one_sentence(tmp_path: Path) -> None:
     cases = {
         "not those of one ball": (egg, "-o", tmp_path / "a.hdr"),
         "must end in .hdr or .exr": (good, "-o", tmp_path / "a.png"),
+        "no effect without --grey-ball": (good, "-o", tmp_path / "a.hdr", "--grey-reflectance", "0.5"),
         "does not exist; create it": (good, "-o", tmp_path / "none" / "a.hdr"),
     }
     document = json.loads((good / "transforms.json").read_text())

@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from hir_core.errors import InputError
+from hir_core.run.run_directory import FORMAT, LAST_STAGE, VERSION
 from hir_plugins.commands.ui.capture_entry import CaptureEntry
 from hir_plugins.commands.ui.capture_library import MAX_UPLOADS, CaptureLibrary
 from hir_plugins.commands.ui.hir_process import KEPT_LINES, HirProcess
@@ -279,6 +280,50 @@ def test_a_run_that_cannot_start_says_why_and_another_may_follow(library: Captur
     assert (entry.preset, entry.settings) == ("fast", ("geometry.iteration=3",))
     entry.start_check()
     assert wait(entry) == "checked"
+
+
+class EndedProcess(HirProcess):
+    """A command that has ended."""
+
+    def __init__(self, sentence: str, *, stopped: bool = False) -> None:
+        self.end_sentence, self.stopped = sentence, stopped
+
+    is_running = property(lambda self: False)  # type: ignore[assignment]
+    has_failed = property(lambda self: not self.stopped)  # type: ignore[assignment]
+    was_stopped = property(lambda self: self.stopped)  # type: ignore[assignment]
+    sentence = property(lambda self: self.end_sentence)  # type: ignore[assignment]
+
+
+def entry_with_finished_run(folder: Path) -> CaptureEntry:
+    """Of files that the page looks at, without a reconstruction."""
+    (folder / "run" / "exports").mkdir(parents=True)
+    (folder / "run" / "exports" / "cow.glb").write_bytes(b"glTF")
+    (folder / "run" / "report.html").write_text("<html></html>")
+    (folder / "run" / "run.json").write_text(
+        json.dumps({"format": FORMAT, "version": VERSION, "stages": {LAST_STAGE: {"report": {}, "warnings": []}}})
+    )
+    return CaptureEntry(folder, "cow", folder)
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_later_run_that_fails_or_is_stopped_leaves_the_files_of_a_finished_one(tmp_path: Path, stopped: bool) -> None:
+    """A misspelled setting must not hide the result; it is hidden while a run may replace it."""
+    entry = entry_with_finished_run(tmp_path)
+    entry.run = EndedProcess("unknown option", stopped=stopped)
+    document = entry.document()
+    assert document["state"] == ("stopped" if stopped else "failed")
+    assert document["run"]["has_result"]
+    assert [file["path"] for file in document["run"]["files"]] == ["cow.glb"]
+    assert list(entry.exported_files()) == ["cow.glb"]
+    (tmp_path / "run" / "run.json").write_text(json.dumps({"format": FORMAT, "version": VERSION, "stages": {}}))
+    assert not entry.document()["run"]["has_result"] and entry.exported_files() == {}
+
+
+def test_a_check_that_fails_beside_a_finished_run_says_why(tmp_path: Path) -> None:
+    entry = entry_with_finished_run(tmp_path)
+    entry.check = EndedProcess("/photographs does not exist")
+    document = entry.document()
+    assert (document["state"], document["check_sentence"]) == ("finished", "/photographs does not exist")
 
 
 def test_a_stopped_check_and_the_end_of_a_session(library: CaptureLibrary, tiny_capture: Path) -> None:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from hir_core.run.run_directory import FORMAT, LAST_STAGE, VERSION
+from hir_plugins.commands.ui.capture_entry import new_entry
 from hir_plugins.commands.ui.ui_server import UiServer
 from tests.fixtures.browser_session import BrowserSession
 from tests.fixtures.runs import QUICK
@@ -181,6 +183,35 @@ def test_a_capture_is_removed_after_a_question(server: UiServer, browser: Browse
     assert server.library.entries == [] and not entry.folder.exists()
     assert dropped.is_dir() and browser.text("#empty") == "None yet."
     assert browser.problems == []
+
+
+@pytest.mark.slow
+def test_a_finished_run_keeps_its_files_and_a_failed_check_says_why(
+    server: UiServer, browser: BrowserSession, tmp_path: Path
+) -> None:
+    """The check is damaged, as a full disk leaves it, and the photographs have been moved."""
+    folder = server.library.folder / "cow"
+    for name in ("check", "run/exports"):
+        (folder / name).mkdir(parents=True)
+    (folder / "check" / "sheet.png").write_bytes(b"")
+    (folder / "check" / "check.json").write_bytes(b'{"views": [')
+    (folder / "run" / "exports" / "cow.glb").write_bytes(b"glTF")
+    (folder / "run" / "report.html").write_text("<html></html>")
+    run = {"format": FORMAT, "version": VERSION, "stages": {LAST_STAGE: {"report": {}, "warnings": []}}}
+    (folder / "run" / "run.json").write_text(json.dumps(run))
+    server.library._entries["cow"] = new_entry(folder, "cow", tmp_path / "moved")
+    in_state(browser, "finished")
+    browser.wait_for("document.querySelector('#photographs')?.innerText.includes('have not been checked')")
+    assert "cow.glb" in browser.text("#result")
+    browser.click("#check")
+    browser.wait_for("document.querySelector('#photographs [role=alert]')?.innerText.includes('does not exist')")
+    assert "cow.glb" in browser.text("#result")
+    browser.evaluate("document.querySelector('#settings-details').open = true")
+    browser.evaluate("document.querySelector('#settings').focus()")
+    browser.type("geometry.iteration=3")
+    browser.click("#start")
+    in_state(browser, "failed")
+    assert "The latest one failed." in browser.text("#result") and "cow.glb" in browser.text("#result")
 
 
 @pytest.mark.slow

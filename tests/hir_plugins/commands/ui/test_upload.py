@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import resource
 import shutil
 import threading
 from pathlib import Path
@@ -167,3 +168,15 @@ def test_a_capture_larger_than_the_disk_is_refused_before_it_is_sent(
     with pytest.raises(InputError, match="type the folder's path instead"):
         Upload(parse_manifest(manifest(("a.png", 100))), tmp_path / "arriving")
     assert not (tmp_path / "arriving").exists()
+
+
+def test_a_disk_that_becomes_full_names_the_file_and_what_to_do(tmp_path: Path) -> None:
+    upload = Upload(parse_manifest(manifest(("a.png", 9000))), tmp_path / "arriving")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        with pytest.raises(InputError, match=r"a\.png cannot be written to .*: File too large; free some space"):
+            upload.receive(0, io.BytesIO(bytes(9000)), 9000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(upload.folder.iterdir()) == []
