@@ -40,7 +40,7 @@ def model_selection(document: Document, seconds: Sequence[float]) -> Markup:
         sentence = f"Shape from {shape['sentence']} ({shape['held_out_views']} held-out views)."
         parts.append(notice(sentence + _within_noise(shape, "difference")))
     if unchanged:
-        sentence = f"Mesh {unchanged['sentence']} ({unchanged['held_out_views']} held-out views)."
+        sentence = f"In the mesh, {unchanged['sentence']} ({unchanged['held_out_views']} held-out views)."
         parts.append(notice(sentence + _within_noise(unchanged, "difference")))
     if revision.get("changed"):
         sentence = f"Material and light showed another mesh; {revision['sentence']}"

@@ -394,7 +394,7 @@ def unchanged_mesh_report(comparison: ShapeComparison[FitT] | None, names: Seque
     if comparison is None:
         return None
     changed = " and ".join(names)
-    kept = f"without the change of {changed}" if comparison.accepted else f"with the change of {changed}"
+    kept = f"what {changed} changed is {'left out' if comparison.accepted else 'kept'}"
     side = "worse" if (comparison.gain_db >= 0) == comparison.accepted else "better, within noise"
     other = "with it" if comparison.accepted else "without it"
     views = len(comparison.fit.errors)

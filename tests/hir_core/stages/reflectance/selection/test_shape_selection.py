@@ -94,7 +94,7 @@ def test_another_mesh_ends_the_selection_where_held_out_views_gain() -> None:
     assert all(spec.normals == "mesh" for spec, _ in own.fitted), "no refinement"
     report = unchanged_mesh_report(comparison, ["hollows"])
     assert report is not None and report.selected
-    assert re.fullmatch(r"without the change of hollows; with it: \d\.\d ± 0\.\d dB worse", report.sentence)
+    assert re.fullmatch(r"what hollows changed is left out; with it: \d\.\d ± 0\.\d dB worse", report.sentence)
 
 
 def test_another_mesh_may_be_behind_at_first_by_what_two_rounds_can_gain() -> None:
@@ -116,10 +116,10 @@ def test_another_mesh_is_left_where_held_out_views_do_not_gain_clearly(other_db:
     assert selection.mesh is not None and not selection.mesh.accepted
     document = {"stages": {"reflectance": {"report": {"unchanged_mesh": None, "model": "metal"}}}}
     report = unchanged_mesh_report(selection.mesh, ["hollows"])
-    assert report is not None and report.sentence.startswith("with the change of hollows; without it: ")
+    assert report is not None and report.sentence.startswith("what hollows changed is kept; without it: ")
     document["stages"]["reflectance"]["report"]["unchanged_mesh"] = vars(report)
     assert decisions(document) == {"change": report.sentence}
-    assert f"Mesh {report.sentence} (6 held-out views)." in str(model_selection(document, ()))
+    assert f"In the mesh, {report.sentence} (6 held-out views)." in str(model_selection(document, ()))
 
 
 def test_without_held_out_views_nothing_is_compared() -> None:
