@@ -12,16 +12,20 @@ import torch
 from numpy.typing import NDArray
 
 from hir_core.capture import Camera, Capture, OrientedPoints, Pixels, View
+from hir_core.capture.pixel_cache import PixelCache
 from hir_core.config import RunConfig
 from hir_core.errors import CaptureError, StageError
 from hir_core.plugins import Component, hookimpl
 from hir_core.plugins.interfaces import Initializer, MaskSource
 from hir_core.plugins.manager import PluginManager
+from hir_core.run.run_directory import RunDirectory
 from hir_core.run.stage_context import StageContext
 from hir_core.scene import Scene
 from hir_core.scene.frames import move_scene
 from hir_core.scene.scan import Scan
 from hir_core.stages.initialization import apply_masks, initialize, resolve_initializers, scale_source
+from hir_core.stages.run_state import CaptureSource, RunState
+from hir_core.stages.stage_list import INITIALIZER
 from tests.fixtures.scenes import square
 
 CAMERA = Camera(np.array([[50.0, 0, 4], [0, 50, 4], [0, 0, 1]]), np.eye(4), 8, 8)
@@ -322,6 +326,28 @@ def test_the_mesh_before_a_change_that_held_out_views_judge_is_kept(
     if found.unchanged_scene is not None:
         original = move_scene(found.unchanged_scene, found.frames.asset_from_working).mesh.positions
         assert torch.allclose(original, square().positions, atol=1e-6)
+
+
+@pytest.mark.parametrize("changed", [True, False])
+def test_the_mesh_before_a_change_survives_a_resume(
+    stage: tuple[StageContext, list[str]], changed: bool, tmp_path: Path
+) -> None:
+    context, _ = stage
+    config = replace(RunConfig(), initializers=("reads_scan", "raises" if changed else "stays"), masks=())
+    capture = capture_of(3, CAMERA)
+    found, _ = initialize(capture, config, context)
+    source = CaptureSource(tmp_path, "made", "", tuple(view.name for view in capture.views))
+    run = RunDirectory(tmp_path / "run")
+    run.path.mkdir()
+    state = RunState(config, context.plugins, run, "cpu", source, PixelCache(0), capture)
+    INITIALIZER.save(state, found, tmp_path)
+    loaded = INITIALIZER.load(state, tmp_path)
+    extended = INITIALIZER.extend(state, loaded).unchanged_scene
+    if not changed:
+        assert found.unchanged_scene is None and extended is None
+        return
+    assert found.unchanged_scene is not None and extended is not None
+    assert torch.equal(extended.mesh.positions, found.unchanged_scene.mesh.positions)
 
 
 def test_takes_that_are_too_small_to_hold_views_out_are_said(stage: tuple[StageContext, list[str]]) -> None:
