@@ -17,6 +17,7 @@ from hir_core.config import RunConfig
 from hir_core.plugins.interfaces import Initializer
 from hir_core.plugins.manager import PluginManager
 from hir_core.plugins.progress import Progress
+from hir_core.run.machine import return_freed_memory
 from hir_core.run.stage_context import StageContext, forward_warnings
 from hir_core.stages.atlas import unwrap
 from hir_core.stages.geometry.geometry_fit import fit_geometry
@@ -111,6 +112,7 @@ def _fit_on_better_mesh(
         return fit_reflectance(scene, capture, config.reflectance, context, silhouette_positions)
     unchanged = UnchangedMesh(unchanged_scene, capture, config, context)
     warnings: list[str] = []
+    found, comparison = None, None
     try:
         found = fit_reflectance(
             scene,
@@ -124,6 +126,8 @@ def _fit_on_better_mesh(
         _repeat(warnings, context)
     except OtherMeshSelectedError as error:  # the warnings were about the other mesh
         comparison = error.comparison
+    if found is None:  # after the handler, as the error keeps the solvers of both meshes in memory
+        return_freed_memory()
         found = _fitted_again(unchanged.initialized, capture, config, context, "unchanged")
     report = unchanged_mesh_report(comparison, unchanged.left_out)
     return replace(found, report=replace(found.report, unchanged_mesh=report))
