@@ -73,15 +73,13 @@ class ComparisonReport:
 
 
 @dataclass(frozen=True)
-class ShapeReport:
-    """The selected hypothesis on the mesh of the silhouettes, against the same fits on the refined mesh; in dB."""
+class OtherShapeReport:
+    """The selected hypothesis on another shape, against the same fits on the first one; in dB."""
 
-    silhouettes_selected: bool
-    """Whether the mesh is that of the silhouettes: what photo-consistency changed is undone."""
     held_out_db: tuple[float, ...]
-    """Mean PSNR on held-out views after each round, on the mesh of the silhouettes."""
+    """Mean PSNR on held-out views after each round, on the other shape."""
     gain_db: float
-    """Of the mesh of the silhouettes."""
+    """Of the other shape."""
     standard_error_db: float
     held_out_views: int
     near_tie: bool
@@ -91,25 +89,21 @@ class ShapeReport:
 
 
 @dataclass(frozen=True)
-class UnchangedMeshReport:
-    """The selected hypothesis on the mesh without what initializers changed, against the same fits on the changed mesh;
-    in dB.
-    """
+class ShapeReport(OtherShapeReport):
+    """The mesh of the silhouettes beside the refined one."""
+
+    silhouettes_selected: bool
+    """Whether the mesh is that of the silhouettes: what photo-consistency changed is undone."""
+
+
+@dataclass(frozen=True)
+class UnchangedMeshReport(OtherShapeReport):
+    """The mesh without what initializers changed beside the changed one."""
 
     initializers: tuple[str, ...]
     """Whose change was left out."""
     selected: bool
     """Whether the result has the mesh without their change."""
-    held_out_db: tuple[float, ...]
-    """Mean PSNR on held-out views after each round, on the unchanged mesh."""
-    gain_db: float
-    """Of the unchanged mesh."""
-    standard_error_db: float
-    held_out_views: int
-    near_tie: bool
-    """Whether the gain is within noise, two standard errors."""
-    sentence: str
-    """All of it in words."""
 
 
 @dataclass(frozen=True)
@@ -377,16 +371,20 @@ def shape_report(selection: Selection[FitT]) -> ShapeReport | None:
     selected = "silhouettes alone" if shape.accepted else "silhouettes and photo-consistency"
     side = "worse" if (shape.gain_db >= 0) == shape.accepted else "better, within noise"
     other = "with photo-consistency" if shape.accepted else "silhouettes alone"
+    sentence = f"{selected}; {other}: {abs(shape.gain_db):.1f} ± {shape.standard_error_db:.1f} dB {side}"
+    return ShapeReport(**_figures(shape), sentence=sentence, silhouettes_selected=shape.accepted)
+
+
+def _figures(shape: ShapeComparison[FitT]) -> dict[str, Any]:
+    """Fields of an `OtherShapeReport` without its sentence."""
     views = len(shape.fit.errors)
-    return ShapeReport(
-        shape.accepted,
-        tuple(round(value, 3) for value in shape.curve_db),
-        round(shape.gain_db, 3),
-        round(shape.standard_error_db, 3),
-        views,
-        is_within_noise(shape.gain_db, shape.standard_error_db, views),
-        f"{selected}; {other}: {abs(shape.gain_db):.1f} ± {shape.standard_error_db:.1f} dB {side}",
-    )
+    return {
+        "held_out_db": tuple(round(value, 3) for value in shape.curve_db),
+        "gain_db": round(shape.gain_db, 3),
+        "standard_error_db": round(shape.standard_error_db, 3),
+        "held_out_views": views,
+        "near_tie": is_within_noise(shape.gain_db, shape.standard_error_db, views),
+    }
 
 
 def unchanged_mesh_report(comparison: ShapeComparison[FitT] | None, names: Sequence[str]) -> UnchangedMeshReport | None:
@@ -397,16 +395,9 @@ def unchanged_mesh_report(comparison: ShapeComparison[FitT] | None, names: Seque
     kept = f"what {changed} changed is {'left out' if comparison.accepted else 'kept'}"
     side = "worse" if (comparison.gain_db >= 0) == comparison.accepted else "better, within noise"
     other = "with it" if comparison.accepted else "without it"
-    views = len(comparison.fit.errors)
+    sentence = f"{kept}; {other}: {abs(comparison.gain_db):.1f} ± {comparison.standard_error_db:.1f} dB {side}"
     return UnchangedMeshReport(
-        tuple(names),
-        comparison.accepted,
-        tuple(round(value, 3) for value in comparison.curve_db),
-        round(comparison.gain_db, 3),
-        round(comparison.standard_error_db, 3),
-        views,
-        is_within_noise(comparison.gain_db, comparison.standard_error_db, views),
-        f"{kept}; {other}: {abs(comparison.gain_db):.1f} ± {comparison.standard_error_db:.1f} dB {side}",
+        **_figures(comparison), sentence=sentence, initializers=tuple(names), selected=comparison.accepted
     )
 
 
